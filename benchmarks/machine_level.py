@@ -30,14 +30,17 @@ from benchmarks.single_step import SteppedCall
 from mavfi.analysis.statistics import Rate, wilson
 from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError
-from mavfi.extras.hardening.compiled import Compiled, compiled, copied
+from mavfi.extras.hardening.compiled import code_of, copied
 from mavfi.extras.hardening.duplicate import MESSAGE, candidates, protect
 from mavfi.faults.levels.instruction import count, draw, run_forked
 from mavfi.faults.levels.instruction.api import digest
 from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
+from mavfi.ir.build import environment_of, load_code
 from mavfi.ir.module import Module
+from mavfi.ir.parser import parse_module
+from mavfi.ir.sources import cached_source
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect
 from mavfi.pipeline.functions import PLAIN
@@ -145,9 +148,18 @@ def duplicated(module: Module) -> Module:
     return protect(module, candidates(module), addresses=True)
 
 
-def protected(kernel: Any, args: tuple[Any, ...]) -> tuple[Compiled, int]:
-    """Code of a kernel as `duplicated`, and its address."""
-    return compiled(kernel, signature_of(args), duplicated)
+def protected(kernel: Any, args: tuple[Any, ...]) -> tuple[Callable[..., Any], int]:
+    """Code of a kernel as `duplicated`, and its address without Numba's wrapper."""
+    signature = signature_of(args)
+    source = cached_source(kernel, signature)
+    module = duplicated(parse_module(source.text, source.kernel))
+    environment = environment_of(kernel, signature)
+    code = load_code(code_of(module), source.wrapper, source.environment, environment)
+    called = next(text for text in module.others if source.wrapper in text.split("\n", 1)[0])
+    name = next(function.name for function in module.functions if f"{function.name} (" in called)
+    engine, _ = code
+    address = engine.get_function_address(name[1:].strip('"'))
+    return lambda *own_args: code[1](None, own_args, None), int(address)  # the code lives as long as its engine
 
 
 def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callable[[str], None]) -> Study:

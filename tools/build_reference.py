@@ -81,7 +81,7 @@ As data, in ledgers, in `mavfi explain --json`, and in Python:
 """
 CONFIGS = """# Keys of vehicles, platforms, autopilot profiles, planners, environments, detectors, redundancy, upsets
 
-Files of `configs/`, and of one's own: every option that takes a name takes a path to such a file too.
+Files in `configs/`, and your own: every option that takes a name also takes the path of such a file.
 
 """
 SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {

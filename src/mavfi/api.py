@@ -20,7 +20,7 @@ from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector, require_detector
 from mavfi.errors import BadInputError, naming_extra
 from mavfi.faults.fault import Fault
-from mavfi.flight.compose import resolve, watched
+from mavfi.flight.compose import prepare, resolve
 from mavfi.flight.host import ArmSetup, Flight, Host, host_for
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.level import Request, parse
@@ -74,23 +74,19 @@ def fly(
     """
     if fault_seed and not isinstance(fault, str):
         raise BadInputError(f"fault_seed: {fault_seed}: no fault to draw; allowed: with the text of a fault")
-    if not (detector is None or isinstance(detector, str)):
-        require_detector(detector)
     spec = _spec(fly, mission, options)
+    call = ""
+    if detector is None or isinstance(detector, str):  # an object's class may be known to the caller's code alone
+        arguments = {"fault": fault, "fault_seed": fault_seed, "detector": detector, "models": models}
+        call = _call(spec, arguments | {"detector_options": detector_options}, profile)
+    else:
+        require_detector(detector)
     allow_typed([detector])
     if detector_options and not isinstance(detector, str):
         raise BadInputError(f"detector_options: {detector_options!r}: allowed: with the name of a detector")
-    setup, label, _ = watched(spec, detector, profile, _path(models), detector_options)
-    request: Request | Fault | None
-    if isinstance(fault, str):
-        request = parse(fault, spec.localization)
-    else:
-        request = fault
-    arguments = {"fault": fault, "fault_seed": fault_seed, "detector": detector, "models": models}
-    call = ""
-    if detector is None or isinstance(detector, str):  # an object's class may be known to the caller's code alone
-        call = _call(spec, arguments | {"detector_options": detector_options}, profile)
-    return fly_request(setup, request, fault_seed, label, without_detector=resolve(spec), command=call)
+    setup = prepare(spec, detector, profile, _path(models), detector_options)
+    request = parse(fault, spec.localization) if isinstance(fault, str) else fault
+    return fly_request(setup, request, fault_seed, without_detector=resolve(spec), command=call)
 
 
 @takes_mission_keys
@@ -142,20 +138,20 @@ def run(
     from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
-    from mavfi.report.progress_line import ProgressLine
+    from mavfi.report.progress import Bar
 
     if isinstance(campaign, Campaign):
         loaded_campaign = campaign
     else:
         loaded_campaign = load_campaign(campaign)
         check_names(loaded_campaign, str(campaign))
-    with ProgressLine(loaded_campaign.name) as line:
+    with Bar(loaded_campaign.name, "runs", prints_lines=False) as bar:
         run_campaign(
             begin(loaded_campaign, Path(directory), models_dir=_path(models), extend=extend),
             Path(directory),
             executor=executor or LocalExecutor(workers),
             extend=extend,
-            progress=progress or line,
+            progress=progress or bar.show_campaign,
         )
     return Runs.read(Path(directory))
 
@@ -221,7 +217,6 @@ def fly_request(
     setup: ArmSetup,
     fault: Request | Fault | None,
     seed: int,
-    label: str,
     without_detector: Scenario,
     own_host: Host | None = None,
     command: str = "",
@@ -232,7 +227,6 @@ def fly_request(
         setup: Mission, detector and recovery.
         fault: The fault, or a request for one; None = the golden run only.
         seed: Seed of the draw.
-        label: Name of the detector; "" = none.
         without_detector: The mission without the detector and its mission keys, in which the fault is flown as well.
         own_host: Flies the mission; None = the host of the fault.
         command: What repeats the flight, for its page.
@@ -261,7 +255,7 @@ def fly_request(
         if without_detector != setup.scenario:
             golden = None  # it is the golden run of another mission
         unwatched, _ = _flown(host, ArmSetup(without_detector), fault, golden)
-    return FlightResult(setup.scenario, flight, watched_golden, fault, label, unwatched, flown_as)
+    return FlightResult(setup.scenario, flight, watched_golden, fault, setup.label, unwatched, flown_as)
 
 
 def _flown(

@@ -20,7 +20,7 @@ from pydantic import (
     field_validator,
 )
 
-from mavfi.dropped import KEYS, dropped_key, dropped_name
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, allowed, not_known
 from mavfi.files import LARGEST_TEXT, is_dir, is_file, read_file
 from mavfi.wording import finding, refuse_other_kind, shown
@@ -54,11 +54,6 @@ class Config(BaseModel):
     """Base of all configuration: frozen, strict about keys; true and false are no numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @classmethod
-    def has_key(cls, name: str) -> bool:
-        """Whether a key of this name is allowed, also if an earlier version had another one of the same name."""
-        return name in cls.model_fields
 
     @field_validator("*", mode="before")
     @classmethod
@@ -337,18 +332,12 @@ def _first_line(error: Exception) -> str:
 def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored: bool = False) -> ConfigType:
     """Validate data from a source (named in messages) as a model.
 
-    Refuses older names of keys, unless mavfi itself has `stored` the data, in which some names stay, also of folders.
+    In data that mavfi itself has `stored`, older names of keys and folders are allowed.
 
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
     """
-    context = None
-    if stored:
-        context = STORED
-    else:
-        for key, value in data.items():
-            if key in KEYS and value is not None and not model.has_key(key):
-                raise BadInputError(f"{source}: {dropped_key(key)}")
+    context = STORED if stored else None
     try:
         return model.model_validate(data, context=context)
     except ValidationError as error:
@@ -415,7 +404,7 @@ def shipped(kind: str, model: type[ConfigType], name: str, endings: Iterable[str
 
 
 def _unknown_name(kind: str, name: str, endings: Iterable[str]) -> str:
-    """The message on a name that is none of a kind of shipped configurations."""
+    """The message on a name that no shipped configuration of a kind has."""
     *others, last = dict.fromkeys([".yaml", *endings])
     files = last
     if others:

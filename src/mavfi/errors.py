@@ -30,7 +30,7 @@ _MACHINE_OF_SQLITE = {
     sqlite3.SQLITE_PROTOCOL,
     sqlite3.SQLITE_CORRUPT,  # EIO while reading a ledger that was sound when opened
 }
-_PACKAGE_OF_MODULE = {"foxglove": "foxglove-sdk", "sklearn": "scikit-learn"}
+_PACKAGE_OF_MODULE = {"elftools": "pyelftools", "foxglove": "foxglove-sdk", "sklearn": "scikit-learn"}
 """Optional packages whose module has another name."""
 _NO_MEMORY = "could not allocate"
 """MuJoCo's message; it raises no MemoryError."""
@@ -79,16 +79,20 @@ def missing_package(error: ModuleNotFoundError, what: str) -> NotInstalledError 
     """
     module = (error.name or "").partition(".")[0]
     package = _PACKAGE_OF_MODULE.get(module, module)
-    packages_by_extra: dict[str, set[str]] = {}
+    sizes = {extra: len(packages) for extra, packages in packages_by_extra().items() if package in packages}
+    if not sizes:
+        return None
+    return not_installed(what, package, min(sizes, key=lambda extra: sizes[extra]))
+
+
+def packages_by_extra() -> dict[str, set[str]]:
+    """Names of the packages of each extra of mavfi, from its metadata."""
+    packages: dict[str, set[str]] = {}
     for requirement in metadata.requires("mavfi") or ():
         optional = re.match(r"([\w.-]+).*; extra == ['\"]([\w-]+)['\"]", requirement)
         if optional:
-            packages_by_extra.setdefault(optional[2], set()).add(optional[1])
-    extras = [extra for extra, packages in packages_by_extra.items() if package in packages]
-    if not extras:
-        return None
-    smallest = min(extras, key=lambda extra: len(packages_by_extra[extra]))
-    return not_installed(what, package, smallest)
+            packages.setdefault(optional[2], set()).add(optional[1])
+    return packages
 
 
 @contextmanager
@@ -143,7 +147,7 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
 
 
 def not_known(name: object, names: Collection[str], also: str = "") -> str:
-    """The end of a message on a name that is none of those that are allowed.
+    """The end of a message on a name that is not allowed.
 
     Args:
         name: The name.

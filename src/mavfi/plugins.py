@@ -25,6 +25,7 @@ from traceback import walk_tb
 from types import FrameType
 from typing import Any, NamedTuple
 
+from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, missing_package, not_known
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
@@ -180,19 +181,18 @@ def load_object(  # noqa: ANN401 - a user's own
         address = shipped[name]
     elif _ADDRESS.fullmatch(name):
         address = name
-    else:
-        names = known(group, shipped)
-        if name not in names:
-            raise BadInputError(f"{what} {not_known(name, sorted(names), also)}{without_class(name)}")
-        address = names[name]
-    module, _, attribute = address.partition(":")
-
-    # Code is run only if the user has typed or allowed it.
-    if address == name:
+        # Code is run only if the user has typed or allowed it.
         require_allowed(what, name)
         # A console script does not search the working directory, where a user's own module usually is.
         if str(Path.cwd()) not in sys.path:
             sys.path.append(str(Path.cwd()))
+    else:
+        names = known(group, shipped)
+        if name not in names:
+            unknown = f"{what} {not_known(name, sorted(names), also)}{without_class(name)}"
+            raise BadInputError(dropped_name(f"{what}s", name) or unknown)
+        address = names[name]
+    module, _, attribute = address.partition(":")
     try:
         imported = importlib.import_module(module)
         loaded = getattr(imported, attribute, None)

@@ -144,7 +144,7 @@ class KernelEffect:
         effect: Label of an `outcomes.Effect`: "masked", "sdc", "crash", "hang", "exception", "detected" or
             "not_activated".
         detail: Signal, budget or exception; "" = none.
-        first_difference: The first published field that differs, as plain data (see `flight.forks`); None =
+        first_difference: The first published field that differs, as plain data (see `flight.instruction_cases`); None =
             all published fields are equal.
     """
 

@@ -68,7 +68,12 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None, under:
         known_keys = [*owner.model_fields, *getattr(owner, "also_accepts", ())]
         return f"unknown key {key!r}{hint(name, known_keys)}; allowed: {', '.join(known_keys)}"
     if kind == "missing":
-        return f"key {key!r}: is required{_choices_of(owner, name)}"
+        choices = ""
+        if owner is not None and name in owner.model_fields:
+            kind_of_value = owner.model_fields[name].annotation
+            if get_origin(kind_of_value) is Literal:
+                choices = f"; allowed: {', '.join(map(str, get_args(kind_of_value)))}"
+        return f"key {key!r}: is required{choices}"
 
     # values that are not allowed
     if kind == "literal_error":
@@ -79,23 +84,16 @@ def finding(error: ValidationError, model: type[BaseModel] | None = None, under:
 
 
 def _first(error: ValidationError) -> Mapping[str, Any]:
-    """The error to report: the first, but an unknown key before an absent one, which it probably misspells."""
+    """The error to report: a dropped key, or else the first one.
+
+    Before an absent key comes an unknown one, which probably misspells it.
+    """
     errors: list[Mapping[str, Any]] = [{**details} for details in error.errors()]
-    if errors[0]["type"] == "missing":
-        for details in errors:
-            if details["type"] == "extra_forbidden":
-                return details
+    for details in errors:
+        is_unknown = details["type"] == "extra_forbidden"
+        if is_unknown and (errors[0]["type"] == "missing" or dropped_key(str(details["loc"][-1]))):
+            return details
     return errors[0]
-
-
-def _choices_of(owner: type[BaseModel] | None, name: str) -> str:
-    """The values of a field that has a few, for the end of a message; "" = it has not."""
-    field = None
-    if owner is not None:
-        field = owner.model_fields.get(name)
-    if field is None or get_origin(field.annotation) is not Literal:
-        return ""
-    return f"; allowed: {', '.join(map(str, get_args(field.annotation)))}"
 
 
 def allowed_by(error: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from mavfi.analysis.statistics import score_bounds
 from mavfi.analysis.table import Table
 from mavfi.faults.fault import Fault
-from mavfi.flight.compose import watched
+from mavfi.flight.compose import prepare
 from mavfi.flight.fly import fly
 from mavfi.levels.level import parse
 from mavfi.mission import MissionSpec, MissionStatus
@@ -107,7 +107,7 @@ def fly_arm(mission: MissionSpec, faults: Sequence[Fault], arm: str) -> list[Rep
     detector = None
     if arm != "none":
         detector = arm
-    setup = watched(mission, detector).setup
+    setup = prepare(mission, detector)
     logs = [fly(setup.scenario, fault, setup.detector(), recovery=setup.recovery).log for fault in (None, *faults)]
     golden = logs[0]
     return [
@@ -123,7 +123,7 @@ def fly_arm(mission: MissionSpec, faults: Sequence[Fault], arm: str) -> list[Rep
 def fly_mission(environment: str, seed: int) -> dict[str, list[ReportedFlight]]:
     """Both arms of a mission: the golden flight, then one flight for each fault."""
     mission = MissionSpec(environment=environment, seed=seed, autopilot=AUTOPILOT)
-    faults = [parse(text).draw(watched(mission, None).setup, seed)[0] for text in FAULTS]
+    faults = [parse(text).draw(prepare(mission, None), seed)[0] for text in FAULTS]
     return {arm: fly_arm(mission, faults, arm) for arm in ARMS}
 
 

@@ -22,8 +22,8 @@ PAGE = "reliability"
 HEADINGS = ("test", "asks", "tries", "result", "minutes", "date", "last line")
 TEXT = (
     "Long tests of ledgers, workers and readers: none found a wrong ledger, a damaged one that was read as sound, or a "
-    "file that did anything but be read or refused. Short versions run with `make test`. What they found, and what "
-    "became of it: [reliability](../reliability.md)."
+    "file that was neither read nor refused. Short versions run with `make test`. What they found, and what "
+    "became of it: [reliability](../concepts/reliability.md)."
 )
 Row = dict[str, str]
 

@@ -97,7 +97,8 @@ class CampaignComparison:
     def sentences(self) -> list[str]:
         """The answer: failures, then what flight time and energy differ by."""
         if self.are_same:
-            return [f"B flies as A: all {sum(_compared_alone(self.groups))} shared runs are equal bit for bit."]
+            shared = sum(group.n_a for group in self.groups if group.environment != ALL)  # without totals
+            return [f"B flies as A: all {shared} shared runs are equal bit for bit."]
         return [_failures_sentence(self.answer), _cost_sentence(self.answer)]
 
     def __repr__(self) -> str:
@@ -177,7 +178,8 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
     if runs_a.campaign.get("host") != runs_b.campaign.get("host"):
         hosts = f"{runs_a.campaign.get('host')} in A, {runs_b.campaign.get('host')} in B"
         notes.append(f"other hosts ({hosts}): a difference may be that of the hosts")
-    same_draws = _faults_drawn_alike(runs_a, runs_b)
+    # Faults of one distribution can be compared even if they are different faults.
+    same_draws = runs_a.campaign.get("sampling") == runs_b.campaign.get("sampling")
     if not reason and not same_draws:
         notes.append("faults are drawn in other ways (sampling): only runs with the same fault are compared")
 
@@ -232,11 +234,6 @@ def _incomparable_faults(runs_a: Runs, runs_b: Runs) -> str:
         if None not in (version_a, version_b) and version_a != version_b:
             return f"their {name} has version {version_a} in A, {version_b} in B"
     return ""
-
-
-def _faults_drawn_alike(runs_a: Runs, runs_b: Runs) -> bool:
-    """Whether faults have the same distribution, so that different faults can be compared, too."""
-    return bool(runs_a.campaign.get("sampling") == runs_b.campaign.get("sampling"))
 
 
 def _only_in(name: str, groups: Collection[tuple[Any, ...]], others: Collection[tuple[Any, ...]]) -> list[str]:
@@ -350,11 +347,6 @@ def _groups(samples: Sequence[tuple[tuple[Any, ...], _Sample]]) -> tuple[Compare
     return tuple(groups)
 
 
-def _compared_alone(groups: Sequence[ComparedGroup]) -> list[int]:
-    """Numbers of runs of the groups that are no totals."""
-    return [group.n_a for group in groups if group.environment != ALL]
-
-
 def _compared(environment: str, setting: str, sample: _Sample) -> ComparedGroup:
     """The differences of a sample."""
     a = sample.a
@@ -385,7 +377,7 @@ def _compared(environment: str, setting: str, sample: _Sample) -> ComparedGroup:
         same,
         failed_a,
         failed_b,
-        Rate(len(a), *difference),
+        Rate(len(a), difference.value, difference.low, difference.high),
         _cost(succeeded_a, succeeded_b, "flight_time_s"),
         _cost(succeeded_a, succeeded_b, "energy_j"),
     )
@@ -412,14 +404,14 @@ def _failures_sentence(group: ComparedGroup) -> str:
         shares += f"; {group.same} runs are equal bit for bit"
     difference = group.failures
     if difference.low is None or difference.high is None or difference.low <= 0 <= difference.high:
-        points = f"{100 * (difference.rate or 0.0):+.1f} points {_interval(difference)}"
+        points = f"{100 * (difference.rate or 0.0):+.1f} points {difference.interval or '[?]'}"
         return f"No difference in failures is shown: {points}, on {on}: {shares}."
     word = "more"
     amount = difference
     if difference.high < 0:
         word = "fewer"
         amount = _negative(difference)
-    return f"B fails {_percent(amount.rate)} {_interval(amount)} {word} missions than A, on {on}: {shares}."
+    return f"B fails {_percent(amount.rate)} {amount.interval or '[?]'} {word} missions than A, on {on}: {shares}."
 
 
 def _cost_sentence(group: ComparedGroup) -> str:
@@ -438,8 +430,8 @@ def _relative(change: Rate, more: str, less: str) -> str:
         return f"(not measured) {more}"
     if change.rate < 0:
         smaller = _negative(change)
-        return f"{_percent(smaller.rate)} {_interval(smaller)} {less}"
-    return f"{_percent(change.rate)} {_interval(change)} {more}"
+        return f"{_percent(smaller.rate)} {smaller.interval or '[?]'} {less}"
+    return f"{_percent(change.rate)} {change.interval or '[?]'} {more}"
 
 
 def _negative(difference: Rate) -> Rate:
@@ -452,10 +444,3 @@ def _negative(difference: Rate) -> Rate:
 def _percent(share: float | None) -> str:
     """A share as per cent."""
     return f"{100 * (share or 0.0):.1f} %"
-
-
-def _interval(rate: Rate) -> str:
-    """The interval of a rate, in brackets; a question mark with fewer than two missions."""
-    if rate.low is None or rate.high is None:
-        return "[?]"
-    return f"[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"

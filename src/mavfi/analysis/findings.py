@@ -56,16 +56,9 @@ def _bits(runs: Runs) -> str:
     return f" ({text} bits)"
 
 
-def _percent(rate: Rate) -> str:
-    """A rate and its interval in per cent."""
-    if rate.rate is None or rate.low is None or rate.high is None:
-        return "unknown"
-    return f"{100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
-
-
 def _with_n(rate: Rate) -> str:
     """A rate and its interval in per cent, with the number of runs."""
-    return f"{_percent(rate)} (n = {rate.n})"
+    return f"{rate.percent or 'unknown'} (n = {rate.n})"
 
 
 # ---- the sentences: each function returns one, or none if it does not apply ------------------------------------------
@@ -111,14 +104,14 @@ def _effects(runs: Runs) -> list[str]:
         "end in a crash or a hang": share(*KERNEL_DUE),
         "do not reach their site": share("not_activated"),
     }
-    rest = "".join(f", {_percent(rate)} {words}" for words, rate in others.items() if rate.successes)
+    rest = "".join(f", {rate.percent} {words}" for words, rate in others.items() if rate.successes)
     result = "flight" if runs.has_missions else "output"
     change = "change it silently"
     if faulty.values("level") == ["sensor"]:  # what fails is no data
         change = "change it"
     return [
-        f"{_percent(share('masked'))} of {len(faulty)} faults leave the {result} as it was, bit for bit, "
-        f"{_percent(share('sdc'))} {change}{rest}."
+        f"{share('masked').percent} of {len(faulty)} faults leave the {result} as it was, bit for bit, "
+        f"{share('sdc').percent} {change}{rest}."
     ]
 
 

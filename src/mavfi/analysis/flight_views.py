@@ -12,7 +12,7 @@ from mavfi.analysis import published as paper
 from mavfi.analysis.measures import Measure
 from mavfi.analysis.rows import ACTIVATED, ALL_BITS, KERNEL_DUE, NO_SITE, NOT_ACTIVATED, POPULATIONS
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Rate, RecoveryRate
+from mavfi.analysis.statistics import Rate, Recovery
 from mavfi.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, TEXT
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
@@ -71,10 +71,6 @@ def _by_groups(runs: Runs) -> bool:
     return len(runs.injected.where(pl.col("target") != pl.col("stage"), pl.col("level").is_in((STATE, MEMORY)))) > 0
 
 
-def _compared(runs: Runs) -> bool:
-    return len(runs.settings()) > 1 and runs.has_missions
-
-
 def watched(runs: Runs) -> bool:
     """Whether any flight has a detector."""
     return len(runs.where(pl.col("detector") != "")) > 0 and runs.has_missions
@@ -124,10 +120,6 @@ def faulty_and_bare(runs: Runs) -> Runs:
 NO_FAULT = "no fault"
 """Row of the flights without a fault, in a table by group."""
 NO_DETECTOR = "no detector"
-
-
-def _of_drawn_groups(runs: Runs) -> bool:
-    return _by_groups(runs) and runs.campaign.get("each") == "group"
 
 
 def _golden_and_groups(runs: Runs) -> Runs:
@@ -192,7 +184,7 @@ _SUCCESS = (
             *unknown_note(of_missions(runs)),
         ),
         leads=True,
-        applies=_of_drawn_groups,
+        applies=lambda runs: _by_groups(runs) and runs.campaign.get("each") == "group",
     ),
     View(
         "success",
@@ -225,7 +217,7 @@ _SUCCESS = (
 
 
 # ---- recovery ----------------------------------------------------------------------------------------------------
-def _recovery(cell_of: Callable[[Runs, RecoveryRate], Any]) -> Callable[[Runs], Any]:
+def _recovery(cell_of: Callable[[Runs, Recovery], Any]) -> Callable[[Runs], Any]:
     """A measure of the recovery rate of a group; its cell is empty without pairs."""
 
     def cell(runs: Runs) -> Any:
@@ -241,10 +233,10 @@ NO_ESTIMATE = "no estimate"
 """Recovery rate whose denominator may be 0."""
 
 
-def _recovery_rate(_: Runs, recovery: RecoveryRate) -> Any:
-    if recovery.rate is None:
+def _recovery_rate(_: Runs, recovery: Recovery) -> Any:
+    if recovery.rate.rate is None:
         return NO_ESTIMATE
-    return Rate(recovery.lost, recovery.rate, recovery.low, recovery.high)
+    return recovery.rate
 
 
 def _papers_recovery(runs: Runs) -> float | None:
@@ -303,13 +295,15 @@ _RECOVERY = (
                 "loss",
                 "golden – fault (points)",
                 POINTS,
-                _recovery(lambda runs, recovery: Rate(len(runs), recovery.loss, recovery.loss_low, recovery.loss_high)),
+                _recovery(
+                    lambda runs, recovery: Rate(len(runs), recovery.loss.value, recovery.loss.low, recovery.loss.high)
+                ),
             ),
         ),
         where=lambda runs: named_populations(m.against_fi(runs)),
         total=TOTAL,
         notes=_recovery_notes,
-        applies=_compared,
+        applies=lambda runs: len(runs.settings()) > 1 and runs.has_missions,
     ),
 )
 
@@ -318,18 +312,17 @@ _RECOVERY = (
 MIN_FLIGHTS = 10  # minimum number of flights for a field to have a row in the report
 
 
-def _slow_note(runs: Runs) -> tuple[str, ...]:
-    return (
-        f"success, hurt: {_STRATA_INTERVALS}",
-        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes; both for the first "
-        "column's bits",
-        ONE_FAULT,
-    )
+_HURT = "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes"
 
 
 def _by(name: str, title: str, by: tuple[str, ...], **options: Any) -> View:
     """A table of success by properties of the fault and by setting; `options` replace those for faults in states."""
-    defaults = {"applies": of_states, "measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
+    notes = (f"success, hurt: {_STRATA_INTERVALS}", f"{_HURT}; both for the first column's bits", ONE_FAULT)
+    defaults = {
+        "applies": of_states,
+        "measures": (m.leading_success, m.other_success, m.hurt),
+        "notes": lambda _: notes,
+    }
     levels = pl.col("level").is_in((STATE, MEMORY, SENSOR))
     return View(
         name,
@@ -340,18 +333,10 @@ def _by(name: str, title: str, by: tuple[str, ...], **options: Any) -> View:
     )
 
 
-def _of_sensors_in_several(runs: Runs) -> bool:
-    return of_sensors(runs) and len(runs.values("environment")) > 1
-
-
 _OF_FAILURES: dict[str, Any] = {
     "applies": of_sensors,
     "measures": (Measure("success", "success %", RATE, lambda runs: m.rate_of(runs, "success")), m.hurt),
-    "notes": lambda _: (
-        f"success, hurt: {INTERVALS}",
-        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes",
-        ONE_FAULT,
-    ),
+    "notes": lambda _: (f"success, hurt: {INTERVALS}", _HURT, ONE_FAULT),
 }
 _UNIT = "Success by failing sensor or motor"
 _BY_PROPERTY = (
@@ -363,7 +348,7 @@ _BY_PROPERTY = (
         "by_unit_and_environment",
         f"{_UNIT}, each environment",
         ("environment", "state"),
-        **{**_OF_FAILURES, "applies": _of_sensors_in_several},
+        **{**_OF_FAILURES, "applies": lambda runs: of_sensors(runs) and len(runs.values("environment")) > 1},
         headings=("environment", "unit", "setting"),
     ),
     _by("by_failure", "Success by type of failure", ("field",), **_OF_FAILURES, headings=("type", "setting")),
@@ -384,15 +369,12 @@ _EFFECTS = (
     m.count("no_site", "no site", site_outcome=NO_SITE),
     m.count("not_activated", "not activated", site_outcome=NOT_ACTIVATED),
 )
-
-
-def _effect_notes(_: Runs) -> tuple[str, ...]:
-    return (
-        "masked = bit for bit the golden run; sdc = the flight differs from the golden run, silent for the mission "
-        "computer unless a detector is on; of these, alarm = raised on the corrupted publication; due = died or hung",
-        "no site: the golden flight never published the state; not activated: the injected flight did not; both are "
-        "kept in every rate (intention to treat)",
-    )
+_EFFECT_NOTES = (
+    "masked = bit for bit the golden run; sdc = the flight differs from the golden run, silent for the mission "
+    "computer unless a detector is on; of these, alarm = raised on the corrupted publication; due = died or hung",
+    "no site: the golden flight never published the state; not activated: the injected flight did not; both are "
+    "kept in every rate (intention to treat)",
+)
 
 
 def _statuses(runs: Runs, _: tuple[str, ...]) -> Any:
@@ -407,7 +389,7 @@ _ENDS = (
         SETTING,
         _EFFECTS,
         where=lambda runs: runs.injected,
-        notes=_effect_notes,
+        notes=lambda _: _EFFECT_NOTES,
         applies=of_values,
     ),
     View(
@@ -534,11 +516,6 @@ def _of_instructions(runs: Runs) -> bool:
     return has(runs.injected, level=INSTRUCTION)
 
 
-def _calls_by_stages(runs: Runs) -> bool:
-    # equal numbers of faults per stage, so that rates over all faults are comparable with the paper's table
-    return _of_instructions(runs) and runs.campaign.get("each") == "stage"
-
-
 # ---- success under both policies ---------------------------------------------------------------------------------
 def _success_of(kind: str, column: str) -> Callable[[Runs], Any]:
     """Share of judged runs of a kind for which a column is true; None for groups of another kind."""
@@ -575,12 +552,9 @@ def _estimand(runs: Runs) -> str:
 
 def _missed_note(runs: Runs) -> str:
     parts = runs.injected.where("judged").groups("setting")
-    counts = ", ".join(f"{setting} {_missed(part)}" for (setting,), part in parts.items())
+    missed = pl.col("site_outcome") != ACTIVATED
+    counts = ", ".join(f"{setting} {len(part.where(missed))}" for (setting,), part in parts.items())
     return f"faults that found no such call or were not activated, kept in every rate: {counts}"
-
-
-def _missed(runs: Runs) -> int:
-    return len(runs.where(pl.col("site_outcome") != ACTIVATED))
 
 
 def _instruction_title(runs: Runs) -> str:
@@ -616,7 +590,8 @@ _KERNEL_SUCCESS = (
             *separable_note(runs),
         ),
         leads=True,
-        applies=_calls_by_stages,
+        # equal numbers of faults per stage: rates over all faults are comparable with the paper's table
+        applies=lambda runs: _of_instructions(runs) and runs.campaign.get("each") == "stage",
     ),
 )
 

@@ -3,8 +3,7 @@
 `configs/figures/mavfi_paper.yaml` says what the paper flew.  `analysis.published` applies this to tables and figures.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -27,38 +26,23 @@ def paper_data() -> dict[str, Any]:
     return read_yaml(config_root() / "figures" / "mavfi_paper.yaml")
 
 
-@dataclass(frozen=True, slots=True)
-class Differences:
+def differences(campaign: Campaign, about: Mapping[str, Any]) -> dict[str, Any]:
     """What a campaign does otherwise than the paper, in words; all empty = comparable with its Table I.
-
-    Attributes:
-        mission: In its missions, e.g. "planner rrt_star".
-        faults: In how faults are drawn, e.g. "no faults in planning".
-        arms: In the detector or the mission of an arm, by its name; without arms that are the paper's.
-    """
-
-    mission: Sequence[str]
-    faults: Sequence[str]
-    arms: Mapping[str, Sequence[str]]
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data, as in the description of a campaign."""
-        return asdict(self)
-
-
-def differences(campaign: Campaign, about: Mapping[str, Any]) -> Differences:
-    """Compare a campaign with the experiment of the paper's Table I.
 
     Args:
         campaign: The campaign, with missions of mavfi.
         about: What its level says of its faults, see `Level.about`.
+
+    Returns:
+        Plain data: `mission`, e.g. "planner rrt_star"; `faults`, in how they are drawn, e.g. "no faults in planning";
+        `arms`, by name, what differs in detector or mission, without arms that are the paper's.
     """
     arms = {name: _of_arm(name, arm) for name, arm in campaign.arms.items()}
-    return Differences(
-        _of_mission(campaign),
-        _of_faults(campaign, about),
-        {name: texts for name, texts in arms.items() if texts},
-    )
+    return {
+        "mission": _of_mission(campaign),
+        "faults": _of_faults(campaign, about),
+        "arms": {name: texts for name, texts in arms.items() if texts},
+    }
 
 
 def _of_mission(campaign: Campaign) -> list[str]:

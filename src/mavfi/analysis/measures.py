@@ -14,7 +14,7 @@ from mavfi.analysis.statistics import (
     EventRate,
     Paired,
     Rate,
-    RecoveryRate,
+    Recovery,
     clustered_rate,
     event_rate_by_flight,
     mcnemar,
@@ -278,13 +278,13 @@ def against_fi(runs: Runs) -> Runs:
     return Runs(joined, runs.records, runs.campaign)
 
 
-def recovery_of(runs: Runs) -> RecoveryRate | None:
+def recovery_of(runs: Runs) -> Recovery | None:
     """Recovery rate (dr - fi) / (golden - fi) of paired rows."""
     if "recovery" not in runs.memo:
         with_golden = runs.where(pl.col("golden_success").is_not_null())
         columns = (with_golden[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
         runs.memo["recovery"] = recovery(list(zip(*columns, strict=True)))
-    memoized: RecoveryRate | None = runs.memo["recovery"]
+    memoized: Recovery | None = runs.memo["recovery"]
     return memoized
 
 

@@ -67,7 +67,7 @@ def comparable(runs: Runs) -> bool:
 
 
 def _unlike(campaign: Mapping[str, Any], part: str) -> list[str]:
-    """What differs from the paper in a part of a campaign's description, see `likeness.Differences`."""
+    """What differs from the paper in a part of a campaign's description, see `likeness.differences`."""
     texts: list[str] = campaign.get("unlike_the_paper", {}).get(part, [])
     return texts
 

@@ -60,9 +60,9 @@ class RequirementVerdict:
         """Verdict, requirement, rate with its interval, and n, in one line."""
         rate = self.rate
         text = f"{self.holds.value:9}  {self.requirement.text}"
-        if rate.rate is None or rate.low is None or rate.high is None:
+        if not rate.percent:
             return f"{text}: n = {rate.n}, no rate"
-        text = f"{text}: {100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}], n = {rate.n}"
+        text = f"{text}: {rate.percent}, n = {rate.n}"
         if self.holds is Holds.NOT_SHOWN:
             return f"{text}: n too small"
         return text
@@ -120,7 +120,7 @@ def _recovered(runs: Runs, arm: str) -> Rate:
     recovery = m.recovery_of(pairs)
     if recovery is None:
         return wilson(0, 0)
-    return Rate(recovery.lost, recovery.rate, recovery.low, recovery.high)
+    return recovery.rate
 
 
 # ---- for programs that read test results -----------------------------------------------------------------------------

@@ -110,7 +110,6 @@ def row_of(
         "population": "all",
         **planned,
         **_happened(record, is_faulty=fault is not None, has_site=bool(planned.get("has_site"))),
-        **_kernel(record),
         **_judged(record, arm_golden, reference, spec),
         **_controlled(record, arm_golden, spec),
         **_detected(record, arm_golden, planned.get("state", "")),
@@ -118,6 +117,8 @@ def row_of(
         "wall_s": run.wall_s,
         "note": run.note,
     }
+    if record.kernel is not None:
+        columns |= {"kernel_effect": record.kernel.effect, "kernel_effect_detail": record.kernel.detail}
     if record.end is End.UNKNOWN:
         columns["reason"] = reason_of(run.note)
     return columns
@@ -134,21 +135,17 @@ def _happened(record: FlightRecord, *, is_faulty: bool, has_site: bool) -> dict[
     """Columns for the injection; if there are several, for the first activated one."""
     activated = [injection for injection in record.injections if injection.activated]
     columns: dict[str, Any] = {"activated": bool(activated)}
-    if is_faulty:
-        columns["site_outcome"] = _site_outcome(record, is_activated=bool(activated), has_site=has_site)
+    # outcome of the planned site; a flight that died before its end counts as activated
+    if is_faulty and not has_site:
+        columns["site_outcome"] = NO_SITE
+    elif is_faulty and (activated or not record.flown):
+        columns["site_outcome"] = ACTIVATED
+    elif is_faulty:
+        columns["site_outcome"] = NOT_ACTIVATED
     injections = activated or record.injections
     if injections:
         columns |= _injection(injections[0])
     return columns
-
-
-def _site_outcome(record: FlightRecord, *, is_activated: bool, has_site: bool) -> str:
-    """Outcome of a planned site; a flight that died before its end counts as activated."""
-    if not has_site:
-        return NO_SITE
-    if is_activated or not record.flown:
-        return ACTIVATED
-    return NOT_ACTIVATED
 
 
 def _injection(injection: Injection) -> dict[str, Any]:
@@ -181,13 +178,6 @@ def _number(value: object) -> float | None:
         return None
 
 
-def _kernel(record: FlightRecord) -> dict[str, Any]:
-    """Columns for the effect of the injected call on its kernel."""
-    if record.kernel is None:
-        return {}
-    return {"kernel_effect": record.kernel.effect, "kernel_effect_detail": record.kernel.detail}
-
-
 def _succeeded(record: FlightRecord) -> bool:
     return record.status == MissionStatus.SUCCESS.label
 
@@ -210,7 +200,9 @@ def _judged(
     if reference is not None and reference.end is not End.UNKNOWN:
         columns["golden_success"] = _succeeded(reference)
     if spec.kind != GOLDEN:
-        columns["effect"] = _effect(arm_golden, record)
+        columns["effect"] = effect_of(arm_golden, record).label
+        if record.end is End.DUE and record.kernel is not None:  # a dead process: the recorded effect on the kernel
+            columns["effect"] = record.kernel.effect
     # the flight itself; processes without a flight have none of it
     if record.flown:
         columns |= {
@@ -248,13 +240,6 @@ def _controlled(record: FlightRecord, arm_golden: FlightRecord | None, spec: Run
         control = control_of(arm_golden, record)
         columns["control"] = None if control is None else control.value
     return columns
-
-
-def _effect(arm_golden: FlightRecord | None, record: FlightRecord) -> str:
-    """Effect on the computation; for a dead process, the recorded effect on the kernel."""
-    if record.end is End.DUE and record.kernel is not None:
-        return record.kernel.effect
-    return effect_of(arm_golden, record).label
 
 
 def _detected(record: FlightRecord, arm_golden: FlightRecord | None, state: str) -> dict[str, Any]:

@@ -215,7 +215,7 @@ def describe(store: Store) -> dict[str, Any]:
     Returns:
         `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (unit to which
         the number of faults applies), `kernels` and `which`, `parts`, `unlike_the_paper` (of flights, see
-        `likeness.Differences`), and what extras add, e.g. measured `overheads`.
+        `likeness.differences`), and what extras add, e.g. measured `overheads`.
     """
     campaign = stored_campaign(store)
     progress = status(store.directory)
@@ -250,8 +250,7 @@ def drawn(campaign: Campaign) -> dict[str, Any]:
     if "title" in about:  # of processes, not of flights
         return about
     how = about.pop("how")
-    unlike = differences(campaign, about).to_json()
-    return about | {"unlike_the_paper": unlike} | _flights(campaign, about["each"], how)
+    return about | {"unlike_the_paper": differences(campaign, about)} | _flights(campaign, about["each"], how)
 
 
 def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:

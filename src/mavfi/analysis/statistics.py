@@ -1,5 +1,7 @@
 """Rates with intervals, and the smallest differences that a number of flights can resolve.
 
+Results are a `Rate` or an `EventRate`, which are cells of tables and may be empty, or an `Estimate`, which has a value.
+
 All intervals are 95 %.  Flights in one world are correlated, so worlds are the clusters of every interval: score
 intervals use the effective number of flights, n / design effect (Kish 1965; Korn and Graubard 1998), bootstraps
 resample whole worlds.  Bootstrap intervals have zero width if all flights end alike; intervals of weighted rates and
@@ -9,7 +11,6 @@ differences are therefore combined from score intervals by MOVER (Newcombe 1998;
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,20 @@ class Rate:
     high: float | None
     successes: int | None = None  # None for weighted rates
 
+    @property
+    def interval(self) -> str:
+        """The interval in per cent, as text: "[78.7, 98.2]"; empty if there is none."""
+        if self.low is None or self.high is None:
+            return ""
+        return f"[{100 * self.low:.1f}, {100 * self.high:.1f}]"
+
+    @property
+    def percent(self) -> str:
+        """The rate with its interval, as text: "93.3 % [78.7, 98.2]"; empty without both."""
+        if self.rate is None or not self.interval:
+            return ""
+        return f"{100 * self.rate:.1f} % {self.interval}"
+
 
 @dataclass(frozen=True, slots=True)
 class EventRate:
@@ -43,6 +58,31 @@ class EventRate:
     low: float | None
     high: float | None
     upper: float | None  # one-sided upper bound
+
+    @property
+    def text(self) -> str:
+        """Events per hour with the interval: "1.2 [0.1, 3.4]"; empty without exposure."""
+        if self.per_hour is None:
+            return ""
+        return f"{self.per_hour:.1f} [{self.low:.1f}, {self.high:.1f}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A value with the bounds of its interval or band."""
+
+    value: float
+    low: float
+    high: float
+
+    def times(self, factor: float) -> "Estimate":
+        """The estimate scaled by a factor."""
+        low, high = sorted((factor * self.low, factor * self.high))
+        return Estimate(factor * self.value, low, high)
+
+    def not_negative(self) -> "Estimate":
+        """The estimate of a value that cannot be negative: value and interval are cut at 0, which loses no coverage."""
+        return Estimate(max(0.0, self.value), max(0.0, self.low), max(0.0, self.high))
 
 
 def wilson(successes: int, n: int) -> Rate:
@@ -92,24 +132,8 @@ def clustered_rate(success: Sequence[bool], world: Sequence[object]) -> Rate:
     """
     if not success:
         return wilson(0, 0)
-    y = np.asarray(success, np.float64)
-    independent = wilson(int(y.sum()), len(y))
-    clustered = StratumRate.of(y, np.ones(len(y)), world)
-    low, high = score_bounds(clustered.rate, clustered.effective)
-    return replace(independent, low=low, high=high)
-
-
-def _half_width(contributions: np.ndarray) -> float:
-    """Half-width of the interval of a linearised estimate.
-
-    Args:
-        contributions: Of each world to the error of the estimate; their sum is 0. Shape (k,).
-    """
-    k = len(contributions)
-    if k < 2:
-        return 0.0
-    variance = k / (k - 1) * float(contributions @ contributions)
-    return _quantile("t", 1 - TAIL, k - 1) * float(np.sqrt(variance))
+    estimate = StratumRate.of(np.asarray(success, np.float64), np.ones(len(success)), world).estimate
+    return Rate(len(success), float(estimate.value), estimate.low, estimate.high, sum(map(bool, success)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +143,11 @@ class StratumRate:
     rate: float
     effective: float  # number of independent flights with the same precision
     spread: np.ndarray  # contribution of each world to the error of the estimate. Shape (worlds,)
+
+    @property
+    def estimate(self) -> Estimate:
+        """The rate with Wilson's interval for the effective number of flights."""
+        return Estimate(self.rate, *score_bounds(self.rate, self.effective))
 
     @staticmethod
     def of(y: np.ndarray, weight: np.ndarray, world: Sequence[object]) -> "StratumRate":
@@ -221,13 +250,12 @@ def weighted_rate(
     strata = [StratumRate.of(y, mask * weights, world) for mask in masks]
     shares = np.array([float((mask * weights).sum() / mask.sum()) for mask in masks])
     shares /= shares.sum()
-    rates = np.array([each.rate for each in strata])
+    estimates = [each.estimate for each in strata]
     # MOVER: distances from the rates to their bounds are added like correlated standard errors
-    bounds = np.array([score_bounds(each.rate, each.effective) for each in strata])
     correlation = correlation_of(np.array([each.spread for each in strata]))
-    below = shares * (rates - bounds[:, 0])
-    above = shares * (bounds[:, 1] - rates)
-    rate = float(shares @ rates)
+    below = shares * np.array([each.value - each.low for each in estimates])
+    above = shares * np.array([each.high - each.value for each in estimates])
+    rate = float(shares @ np.array([each.value for each in estimates]))
     low = rate - float(np.sqrt(below @ correlation @ below))
     high = rate + float(np.sqrt(above @ correlation @ above))
     return Rate(n, rate, max(0.0, low), min(1.0, high))
@@ -318,15 +346,11 @@ class Paired:
 
 
 @dataclass(frozen=True, slots=True)
-class RecoveryRate:
-    """Recovery rate (method - fi) / (golden - fi) and loss (golden - fi) over pairs, with intervals."""
+class Recovery:
+    """Recovery rate (method - fi) / (golden - fi) and loss (golden - fi) over pairs."""
 
-    rate: float | None  # None, like its bounds, if undefined: the interval of the denominator contains 0
-    low: float | None
-    high: float | None
-    loss: float
-    loss_low: float
-    loss_high: float
+    rate: Rate  # n: lost pairs; empty if undefined: the interval of the denominator contains 0
+    loss: Estimate
     lost: int  # pairs in which golden succeeds and fi does not
     regained: int  # of these, those in which the method succeeds
 
@@ -354,17 +378,9 @@ def _of_random_signs(differences: Sequence[int]) -> float:
     return float(min(1.0, chances[distance >= abs(sum(differences))].sum()))
 
 
-class RateDifference(NamedTuple):
-    """Difference of two success rates with its interval."""
-
-    estimate: float
-    low: float
-    high: float
-
-
 def paired_difference(
     first: Sequence[bool], second: Sequence[bool], world: Sequence[object], weight: Sequence[float] | None = None
-) -> RateDifference:
+) -> Estimate:
     """Difference of two success rates in the same missions, first - second, with MOVER's interval.
 
     It is the difference between the shares of pairs in which only the first and only the second succeeds.  Each share
@@ -376,39 +392,38 @@ def paired_difference(
     other_succeeds = np.asarray(second, bool)
     weights = np.ones(len(succeeds)) if weight is None else np.asarray(weight, np.float64)
     # a and b: shares of pairs in which only the first, and only the second, succeeds
-    a = StratumRate.of((succeeds & ~other_succeeds).astype(np.float64), weights, world)
-    b = StratumRate.of((other_succeeds & ~succeeds).astype(np.float64), weights, world)
-    a_low, a_high = score_bounds(a.rate, a.effective)
-    b_low, b_high = score_bounds(b.rate, b.effective)
+    a = StratumRate.of((succeeds & ~other_succeeds).astype(np.float64), weights, world).estimate
+    b = StratumRate.of((other_succeeds & ~succeeds).astype(np.float64), weights, world).estimate
     # correlation of two shares of one multinomial sample; 1e-300 only prevents a division by 0
-    odds = a.rate * b.rate / max((1 - a.rate) * (1 - b.rate), 1e-300)
-    correlation = -float(np.sqrt(min(odds, 1.0)))
-    difference = a.rate - b.rate
-    low = difference - _combined(a.rate - a_low, b_high - b.rate, correlation)
-    high = difference + _combined(a_high - a.rate, b.rate - b_low, correlation)
-    return RateDifference(difference, max(-1.0, low), min(1.0, high))
+    odds = a.value * b.value / max((1 - a.value) * (1 - b.value), 1e-300)
+    return _difference(a, b, -float(np.sqrt(min(odds, 1.0))))
 
 
-def _combined(first: float, second: float, correlation: float) -> float:
-    """Distance from a difference to its bound, from the corresponding distances of its two terms (MOVER)."""
-    return float(np.sqrt(first**2 + second**2 - 2 * correlation * first * second))
+def _difference(first: Estimate, second: Estimate, correlation: float) -> Estimate:
+    """Difference of two correlated rates; its interval is MOVER's (Newcombe 1998; Zou and Donner 2008).
+
+    The distances from both rates to their bounds are combined like the standard errors of the rates.
+    """
+
+    def combined(of_first: float, of_second: float) -> float:
+        return float(np.sqrt(of_first**2 + of_second**2 - 2 * correlation * of_first * of_second))
+
+    difference = first.value - second.value
+    low = difference - combined(first.value - first.low, second.high - second.value)
+    high = difference + combined(first.high - first.value, second.value - second.low)
+    return Estimate(difference, max(-1.0, low), min(1.0, high))
 
 
 def unpaired_difference(
     first: Sequence[bool], first_world: Sequence[object], second: Sequence[bool], second_world: Sequence[object]
-) -> RateDifference:
-    """Difference of two success rates in different missions, first - second, with MOVER's interval (Newcombe 1998).
+) -> Estimate:
+    """Difference of two success rates in different missions, first - second, with MOVER's interval.
 
     Each rate has Wilson's interval for its effective number of flights, of which at least one is required.
     """
-    a = clustered_rate(first, first_world)
-    b = clustered_rate(second, second_world)
-    if a.rate is None or a.low is None or a.high is None or b.rate is None or b.low is None or b.high is None:
-        raise ValueError("a difference needs flights on both sides")
-    difference = a.rate - b.rate
-    low = difference - _combined(a.rate - a.low, b.high - b.rate, 0.0)
-    high = difference + _combined(a.high - a.rate, b.rate - b.low, 0.0)
-    return RateDifference(difference, max(-1.0, low), min(1.0, high))
+    a = StratumRate.of(np.asarray(first, np.float64), np.ones(len(first)), first_world).estimate
+    b = StratumRate.of(np.asarray(second, np.float64), np.ones(len(second)), second_world).estimate
+    return replace(_difference(a, b, 0.0), value=float(a.value - b.value))
 
 
 def relative_difference(
@@ -437,11 +452,15 @@ def relative_difference(
         return Rate(n, ratio - 1, None, None)
     first_errors = first_sums / first_sums.sum() - first_counts / first_counts.sum()
     second_errors = second_sums / second_sums.sum() - second_counts / second_counts.sum()
-    half_width = _half_width(ratio * (first_errors - second_errors))
+    # contribution of each world to the error of the linearised ratio
+    errors = ratio * (first_errors - second_errors)
+    worlds_count = len(errors)
+    variance = worlds_count / (worlds_count - 1) * float(errors @ errors)
+    half_width = _quantile("t", 1 - TAIL, worlds_count - 1) * float(np.sqrt(variance))
     return Rate(n, ratio - 1, ratio - 1 - half_width, ratio - 1 + half_width)
 
 
-def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> RecoveryRate | None:
+def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | None:
     """Recovery rate of a method, the share of lost missions that it recovers; None without pairs.
 
     Pairs contain the world and the success without a fault, with the fault, and with fault and method.  If the method
@@ -454,24 +473,23 @@ def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> RecoveryRate |
     worlds = [world for world, *_ in pairs]
     golden, fi, method = np.array([successes for _, *successes in pairs], bool).T
     loss = paired_difference(golden.tolist(), fi.tolist(), worlds)
-    lost = golden & ~fi
-    counts = int(lost.sum()), int((lost & method).sum())
+    is_lost = golden & ~fi
+    lost = int(is_lost.sum())
+    regained = int((is_lost & method).sum())
     if loss.low <= 0:
-        return RecoveryRate(None, None, None, *loss, *counts)
+        return Recovery(Rate(lost, None, None, None), loss, lost, regained)
     gain = float(np.mean(method.astype(np.float64) - fi))
-    low, high = _exact(method[lost], [world for world, is_lost in zip(worlds, lost, strict=True) if is_lost])
-    if np.any(fi & ~golden) or np.any((method != fi) & ~lost):
+
+    # Clopper and Pearson's interval for the effective number of lost pairs
+    lost_worlds = [world for world, flag in zip(worlds, is_lost, strict=True) if flag]
+    clustered = StratumRate.of(method[is_lost].astype(np.float64), np.ones(lost), lost_worlds)
+    hits = clustered.rate * clustered.effective
+    low, high = exact_bounds(hits, clustered.effective - hits)
+    if np.any(fi & ~golden) or np.any((method != fi) & ~is_lost):
         # the rate is no proportion of the lost missions any more: widen by a bootstrap of worlds
         totals = resample(cluster_sums(worlds, golden, fi, method))
         with np.errstate(invalid="ignore", divide="ignore"):
             sampled_low, sampled_high = percentiles((totals[:, 2] - totals[:, 1]) / (totals[:, 0] - totals[:, 1]))
         low = min(low, sampled_low)
         high = max(high, sampled_high)
-    return RecoveryRate(gain / loss.estimate, low, high, *loss, *counts)
-
-
-def _exact(success: np.ndarray, world: Sequence[object]) -> tuple[float, float]:
-    """Clopper and Pearson's interval for the effective number of flights."""
-    clustered = StratumRate.of(success.astype(np.float64), np.ones(len(success)), world)
-    hits = clustered.rate * clustered.effective
-    return exact_bounds(hits, clustered.effective - hits)
+    return Recovery(Rate(lost, gain / loss.value, low, high), loss, lost, regained)

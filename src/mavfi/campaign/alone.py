@@ -41,25 +41,24 @@ def _fly_one(spec: RunSpec, fly: Callable[[RunSpec], CompletedRun], fly_golden: 
     for _ in range(ATTEMPTS_ALONE):
         ended = _run_in_child(partial(_pickled, spec, fly))
         if ended.how == "done":
-            return _unpickled(ended.payload)
+            flown: CompletedRun | MachineError = pickle.loads(ended.payload)
+            if isinstance(flown, MachineError):
+                raise flown
+            return flown
         is_late = is_late or ended.detail == WALL_CLOCK
     note = f"{ended.how} {ended.detail}".strip()
     if is_late:
         return CompletedRun.of(spec.run_id, FlightRecord(End.UNKNOWN, error="took too long"), note)
-    _check_machine(spec, fly_golden)
-    return CompletedRun.of(spec.run_id, FlightRecord(End.DUE, error="the process died each time"), note)
 
-
-def _check_machine(spec: RunSpec, fly_golden: Callable[[str], None]) -> None:
-    """Raise a MachineError if the golden run dies, too: the machine is at fault, not the run."""
-
-    def fly() -> bytes:
+    # If the golden run dies, too, the machine is at fault, not the run.
+    def golden() -> bytes:
         fly_golden(spec.arm)
         return b""
 
-    ended = _run_in_child(fly)
+    ended = _run_in_child(golden)
     if ended.how != "done":
         raise MachineError(f"{spec.run_id}: the process died, and that of its golden run, too ({ended.detail})")
+    return CompletedRun.of(spec.run_id, FlightRecord(End.DUE, error="the process died each time"), note)
 
 
 def _run_in_child(work: Callable[[], bytes]) -> ChildEnd:
@@ -78,11 +77,3 @@ def _pickled(spec: RunSpec, fly: Callable[[RunSpec], CompletedRun]) -> bytes:
         return pickle.dumps(fly(spec))
     except MachineError as error:
         return pickle.dumps(error)
-
-
-def _unpickled(payload: bytes) -> CompletedRun:
-    """Inverse of `_pickled`; raises a failure of the machine."""
-    flown: CompletedRun | MachineError = pickle.loads(payload)
-    if isinstance(flown, MachineError):
-        raise flown
-    return flown

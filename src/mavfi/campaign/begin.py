@@ -32,7 +32,10 @@ def begin(
         BadInputError: A name is unknown, options are incompatible, or a model is absent or does not match.
     """
     begun = _as_begun(campaign.without_requirements(), directory, extend=extend)
-    resolved = resolve(begun, models_dir or _models_dir(directory))
+    held_models = held(directory, "models_dir")
+    if models_dir is None and held_models is not None:  # the models with which the ledger was begun
+        models_dir = directory / held_models
+    resolved = resolve(begun, models_dir)
     require_level(resolved.host, begun.sampling.level)
     return resolved.with_models()
 
@@ -48,14 +51,6 @@ def _as_begun(campaign: Campaign, directory: Path, *, extend: bool) -> Campaign:
         if begun == campaign:
             return begun
     return campaign
-
-
-def _models_dir(directory: Path) -> Path | None:
-    """Folder of models with which a ledger was begun; None = the shipped ones, or there is no ledger."""
-    path: str | None = held(directory, "models_dir")
-    if path is None:
-        return None
-    return directory / path
 
 
 def check_names(campaign: Campaign, source: str) -> None:

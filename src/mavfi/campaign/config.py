@@ -135,11 +135,6 @@ class Campaign(Config):
         None, description="what is under test instead of our pipeline; given under the key of its host"
     )
 
-    @classmethod
-    def has_key(cls, name: str) -> bool:
-        """See `Config.has_key`: also keys that hosts bring."""
-        return name in cls.model_fields or any(other.config_key == name for other in extensions("mavfi.hosts").values())
-
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, data: Any, info: ValidationInfo) -> Any:
@@ -369,18 +364,14 @@ def _with_under_test(data: dict[str, Any], info: ValidationInfo) -> dict[str, An
             raise ValueError(f"host: {host.name!r}: the key {key} goes with host {host.name}, and only with it")
         under_test = parse_part(host.config, values, key, info.context)
         data = {**host.campaign_defaults(under_test), **data, "under_test": under_test}
-    _refuse_keys_of_other_hosts(data)
-    return data
-
-
-def _refuse_keys_of_other_hosts(data: Mapping[str, Any]) -> None:
-    """Raise a ValueError for a key of what is under test at another host; other unknown keys are refused later."""
+    # a key of what is under test at another host; other unknown keys are refused later
     for key in data.keys() - Campaign.model_fields.keys():
         for other in extensions("mavfi.hosts").values():
             if other.config_key == key:
                 raise ValueError(
                     f"host: {data.get('host', _LOCAL)!r}: the key {key} goes with host {other.name}, and only with it"
                 )
+    return data
 
 
 def _level_at(host_name: Any, name: str) -> Level:

@@ -9,7 +9,7 @@ place.
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from mavfi.campaign.config import Campaign
@@ -171,18 +171,14 @@ class _Extension:
                 for index in range(stored_block.count):
                     draw = stored_block.draw(index)
                     new_draw = block.draw(index)
-                    if before.basis(environment, draw) != now.basis(environment, new_draw):
-                        raise self._other_draw(draw)
-
-    def _other_draw(self, draw: Draw) -> BadInputError:
-        """The refusal of a draw that is another one in the larger campaign."""
-        name = f"fault {draw.index} of {draw.target}"
-        extended = self._extended.campaign.config
-        text = f"the faults of a mission are drawn together: with more of them, {name} would be another one"
-        return self.refusal(
-            "faults",
-            f"{extended.faults}: {text}; allowed: as many faults in each of the flown missions as before",
-        )
+                    if before.basis(environment, draw) == now.basis(environment, new_draw):
+                        continue
+                    raise self.refusal(
+                        "faults",
+                        f"{self._extended.campaign.config.faults}: the faults of a mission are drawn together: with "
+                        f"more of them, fault {draw.index} of {draw.target} would be another one; allowed: as many "
+                        "faults in each of the flown missions as before",
+                    )
 
     def row_of(self, spec: RunSpec) -> Row | None:
         """A stored run, as the larger campaign plans it; None = a null run that it flies in another arm.
@@ -190,22 +186,19 @@ class _Extension:
         Raises:
             BadInputError: The larger campaign has another run in its place.
         """
-        for planned in self._runs_at(spec):
+        # golden runs, or the runs of the same fault
+        planned_runs: list[RunSpec] = []
+        if spec.fault is None:
+            planned_runs = self._extended.golden(*spec.world)
+        elif (spec.target, spec.index) in self._draws_of(*spec.world).positions:
+            position, draw = self._draws_of(*spec.world).positions[spec.target, spec.index]
+            planned_runs = self._extended.injected(spec.environment, draw, position, spec.fault)
+        for planned in planned_runs:
             if planned.run_id == spec.run_id:
                 return planned.row()
         if spec.target == NULL:
             return None
         raise self.refusal("arms", f"run {spec.run_id} would be another one; {_ALLOWED}")
-
-    def _runs_at(self, spec: RunSpec) -> Iterator[RunSpec]:
-        """The runs of the larger campaign in the place of a stored one: golden runs, or those of the same fault."""
-        if spec.fault is None:
-            yield from self._extended.golden(*spec.world)
-            return
-        planned = self._draws_of(*spec.world).positions.get((spec.target, spec.index))
-        if planned is not None:
-            position, draw = planned
-            yield from self._extended.injected(spec.environment, draw, position, spec.fault)
 
     def _draws_of(self, environment: str, seed: int) -> _MissionDraws:
         """The draws of a mission in both plans."""

@@ -84,7 +84,11 @@ def differences(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
         held_keys = held.get("campaign") or {}
         wanted_keys = wanted.get("campaign") or {}
         for key in _differing(held_keys, wanted_keys):
-            texts.add(_compared(f"campaign.{key}", held_keys.get(key), wanted_keys.get(key)))
+            values = held_keys.get(key), wanted_keys.get(key)
+            text = f"campaign.{key}: {values[0]}, not {values[1]}"
+            if len(f"{values[0]}, not {values[1]}") > _SHORT or any(isinstance(value, dict) for value in values):
+                text = f"campaign.{key}"
+            texts.add(text)
     held_scenarios = held.get("scenarios") or {}
     wanted_scenarios = wanted.get("scenarios") or {}
     if "scenarios" in texts and held_scenarios.keys() == wanted_scenarios.keys():
@@ -95,14 +99,6 @@ def differences(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     if len(texts) > _MOST:
         text += f" and {len(texts) - _MOST} more"
     return text
-
-
-def _compared(key: str, held: object, wanted: object) -> str:
-    """A key with both of its values, if they are short."""
-    values = f"{held}, not {wanted}"
-    if len(values) > _SHORT or isinstance(held, dict) or isinstance(wanted, dict):
-        return key
-    return f"{key}: {values}"
 
 
 def _differing(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> set[str]:

@@ -221,9 +221,8 @@ def repair(directory: Path) -> Repair:
     repaired = directory / f"{FILE}.repaired"
     if not is_file(path):
         raise no_campaign(directory)
-    number_of_runs = _intact_runs(directory)
-    if number_of_runs is not None:
-        return Repair(number_of_runs, 0, was_intact=True)
+    with suppress(BadInputError), Store.open(directory) as store:
+        return Repair(len(list(store.rows())), 0, was_intact=True)
     if damaged.exists():
         raise BadInputError(f"{damaged}: exists already, from an earlier repair; move it away first")
 
@@ -236,12 +235,13 @@ def repair(directory: Path) -> Repair:
         meta = list(_rows(source, "SELECT key, value, checksum FROM meta"))
         runs = list(_rows(source, f"SELECT {_RUNS} FROM runs"))
         missions = list(_rows(source, "SELECT environment, seed, checksum FROM missions"))
-    identity = _intact_identity(meta)
-    if not identity:
+    # its own checksum has no salt
+    identities = [value for key, value, checksum in meta if key == IDENTITY and checksum == checksum_of(key, value)]
+    if not identities:
         raise BadInputError(f"{path}: its metadata are damaged: the campaign cannot be identified")
 
     # Row `BOUND`, which says whether checksums are salted, may be damaged: the salt that fits more rows counts.
-    salted = _IntactRows.of(meta, runs, (checksum_of(identity),))
+    salted = _IntactRows.of(meta, runs, (checksum_of(identities[0]),))
     unsalted = _IntactRows.of(meta, runs, ())
     intact = max(salted, unsalted, key=lambda rows: len(rows.meta) + len(rows.runs))
 
@@ -265,29 +265,11 @@ def repair(directory: Path) -> Repair:
     return Repair(len(intact.runs), len(runs) - len(intact.runs))
 
 
-def _intact_runs(directory: Path) -> int | None:
-    """Number of runs of an intact ledger; None if it is damaged."""
-    try:
-        with Store.open(directory) as store:
-            return len(list(store.rows()))
-    except BadInputError:
-        return None
-
-
 def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...]]:
     """All rows up to the first unreadable one."""
     with suppress(*_UNREADABLE):
         connection.text_factory = lambda data: data.decode(errors="replace")
         yield from connection.execute(query)
-
-
-def _intact_identity(meta: list[tuple[Any, ...]]) -> str:
-    """The identity of the campaign as text; "" = absent, or damaged."""
-    for key, value, checksum in meta:
-        if key == IDENTITY and checksum == checksum_of(key, value):
-            identity: str = value
-            return identity
-    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,15 +282,10 @@ class _IntactRows:
 
     @staticmethod
     def of(meta: list[tuple[Any, ...]], runs: list[tuple[Any, ...]], salt: tuple[str, ...]) -> "_IntactRows":
-        """Select the rows whose checksums match."""
+        """Select the rows whose checksums match; salted checksums need a new `BOUND` row."""
+        intact_meta = [row for row in meta if row[0] != BOUND and row[2] == meta_checksum(row[0], row[1], salt)]
+        if salt:
+            bound = BOUND, canonical(True)
+            intact_meta.append((*bound, checksum_of(*bound)))
         intact_runs = [row for row in runs if row[-1] == checksum_of(*row[:-1], *salt)]
-        return _IntactRows(salt, _intact_meta(meta, salt), intact_runs)
-
-
-def _intact_meta(meta: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple[Any, ...]]:
-    """The intact metadata rows, and a new `BOUND` row if checksums are salted."""
-    intact = [row for row in meta if row[0] != BOUND and row[2] == meta_checksum(row[0], row[1], salt)]
-    bound = BOUND, canonical(True)
-    if salt:
-        return [*intact, (*bound, checksum_of(*bound))]
-    return intact
+        return _IntactRows(salt, intact_meta, intact_runs)

@@ -231,7 +231,9 @@ class Plan:
         first = self.golden_count() + position
         if draw.target == NULL:
             kind: Kind = "null"
-            settings = [self._null_setting(draw.index)]
+            arms = [arm for arm in self.campaign.arms if not arm.is_variant]
+            arm = arms[draw.index % len(arms)]
+            settings = [(arm, _with_arm(NULL, arm.name))]
         else:
             kind = "injected"
             settings = self._settings_of_fault(draw)
@@ -250,15 +252,9 @@ class Plan:
             for number, (arm, setting) in enumerate(settings)
         ]
 
-    def _null_setting(self, index: int) -> tuple[Arm, str]:
-        """Arm and setting of a null run."""
-        arms = [arm for arm in self.campaign.arms if not arm.is_variant]
-        arm = arms[index % len(arms)]
-        return arm, _with_arm(NULL, arm.name)
-
     def _settings_of_fault(self, draw: Draw) -> list[tuple[Arm, str]]:
         """Arms and settings in which a fault is flown."""
-        variant = self._arm(draw.variant)
+        variant = next(arm for arm in self.campaign.arms if arm.name == draw.variant)
         if variant.detector:  # the fault is in this detector, which other arms lack
             return [(variant, _with_arm(RECOVERY, variant.name))]
         settings = [(variant, FI)]
@@ -285,10 +281,6 @@ class Plan:
     def golden_count(self, shard: Shard = WHOLE) -> int:
         """Number of golden runs of the campaign or a shard."""
         return shard.missions(self.campaign.config) * len(self.campaign.arms)
-
-    def _arm(self, name: str) -> Arm:
-        """The arm of this name."""
-        return next(arm for arm in self.campaign.arms if arm.name == name)
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
         """A run of an arm, with what is planned for it."""

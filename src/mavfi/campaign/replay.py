@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from mavfi.flight.host import ArmSetup, Flight, Host, Recorded
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.mission import Scenario
 from mavfi.outcomes import Effect, effect_of
-from mavfi.record import End, FlightRecord, record_of
+from mavfi.record import FlightRecord, record_of
 from mavfi.rewriting import rewriter
 
 CONFIDENCE = 0.95
@@ -46,11 +45,21 @@ class Replay:
     @property
     def same(self) -> bool:
         """Whether the replay is bit-identical to the stored flight, or ended for the same reason if none is left."""
-        return self.run.record is not None and _outcome(self.run.record) == _outcome(self.record)
+        stored = self.run.record
+        if stored is None:
+            return False
+        now = self.record
+        return (stored.end, stored.digest, stored.error) == (now.end, now.digest, now.error)
+
+    @property
+    def is_replayable(self) -> bool:
+        """Whether all injections of the stored run can be repeated bit for bit."""
+        return self.run.record is None or _can_be_repeated(self.run.record)
 
 
-def _outcome(record: FlightRecord) -> tuple[End, str, str]:
-    return record.end, record.digest, record.error
+def _can_be_repeated(record: FlightRecord) -> bool:
+    """Whether no fault marks a record as not replayable."""
+    return all(injection.details.get("replayable", True) for injection in record.injections)
 
 
 def replay(directory: Path, run_id: str) -> Replay:
@@ -114,18 +123,13 @@ def setup_of_run(campaign: ResolvedCampaign, store: Store, spec: RunSpec) -> Arm
     stored = store.meta("identity")["scenarios"][f"{spec.environment}/{spec.arm}"]
     scenario = None
     if host.flies:
-        scenario = _scenario(store, {**stored, "seed": spec.seed})
+        # as flown, with the content of the files that its mission named, e.g. of its protection plan
+        scenario = parse(Scenario, {**stored, "seed": spec.seed}, str(store.directory), stored=True)
+        if scenario.protection is not None:
+            rewriter().check(scenario.protection, f"of {store.directory}")
     else:
         host.check_stored(stored)
     return setup_of(MissionPlan(campaign, *spec.world), arms[spec.arm], scenario)
-
-
-def _scenario(store: Store, stored: dict[str, Any]) -> Scenario:
-    """The scenario as flown, with the content of the files that its mission named, e.g. of its protection plan."""
-    scenario = parse(Scenario, stored, str(store.directory), stored=True)
-    if scenario.protection is not None:
-        rewriter().check(scenario.protection, f"of {store.directory}")
-    return scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +281,10 @@ def verify(
     if not 0.0 < share <= 1.0:
         raise BadInputError(f"--share: {share}: allowed: above 0, 1 at most")
     with Store.open(directory) as store:
-        runs = [run for run in store.runs(done=True) if _is_replayable(run)]
+        runs = []
+        for run in store.runs(done=True):
+            if run.record is not None and run.record.flown and _can_be_repeated(run.record):
+                runs.append(run)
         if not runs:
             raise BadInputError(f"{directory}: holds no replayable run")
         number = max(1, round(share * len(runs)))
@@ -291,14 +298,6 @@ def verify(
             if _record_again(campaign, store, run) != run.record:
                 differing.append(run.spec.run_id)
     return Verification(len(runs), number, tuple(differing))
-
-
-def _is_replayable(run: Run) -> bool:
-    """Whether a run left a flight, and no fault marks it as not replayable."""
-    record = run.record
-    if record is None or not record.flown:
-        return False
-    return all(injection.details.get("replayable", True) for injection in record.injections)
 
 
 def _record_again(campaign: ResolvedCampaign, store: Store, run: Run) -> FlightRecord:

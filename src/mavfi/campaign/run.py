@@ -9,7 +9,7 @@ run in a separate child process.
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -216,18 +216,17 @@ class Flying:
                 groups_of_seed = groups_by_seed.setdefault(seed, [])
                 group = None
                 if not self._instruments(number):  # instrumented kernels join no group
-                    group = next((other for other in groups_of_seed if self._shares(number, environment, other)), None)
+                    flights = self.sessions[number].flights(environment)
+                    for other in groups_of_seed:
+                        if all(share(flights, self.sessions[n].flights(there)) for n, (there, _) in other):
+                            group = other
+                            break
                 if group is None:
                     group = []
                     groups.append(group)
                     groups_of_seed.append(group)
                 group.append((number, (environment, seed)))
         return groups
-
-    def _shares(self, number: int, environment: str, group: Sequence[_SessionMission]) -> bool:
-        """Whether the missions of a session in an environment have the golden flights of all missions of a group."""
-        flights = self.sessions[number].flights(environment)
-        return all(share(flights, self.sessions[other].flights(there)) for other, (there, _) in group)
 
     def _instruments(self, number: int) -> bool:
         return self.sessions[number].plan.campaign.sampler.instruments
@@ -262,18 +261,14 @@ class Flying:
         if any(session.flown for session in self.sessions):
             return
         crashed = {(number, mission.world) for number, mission, _ in lost_missions}
-        other = self._first_mission_except(crashed)
-        if other is not None and not list(self._fly_once(executor, [(other,)])):
-            return
+        missions = ((number, world) for number, session in enumerate(self.sessions) for world in session.worlds())
+        for number, world in missions:
+            if (number, world) not in crashed:  # the first one that has not crashed its worker
+                job = ((number, self.sessions[number].mission(world)),)
+                if not list(self._fly_once(executor, [job])):
+                    return
+                break
         raise MachineError(f"no mission can be flown here: {lost_missions[0][2].reason}")
-
-    def _first_mission_except(self, crashed: Collection[_SessionMission]) -> tuple[int, MissionPlan] | None:
-        """The first mission that has not crashed its worker, with the number of its session."""
-        for number, session in enumerate(self.sessions):
-            for world in session.worlds():
-                if (number, world) not in crashed:
-                    return number, session.mission(world)
-        return None
 
 
 # ---- flies campaigns mission by mission, alone or together; a stopped campaign resumes -----------------------------
@@ -363,6 +358,13 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
         if stored_identity in (None, identity_to_open) or not differ_in_size(stored_identity, identity):
             raise
         raise BadInputError(f"{error}, or keep its runs with --extend") from None
+    # The folder of models, relative if it is inside the ledger's, so that both can be moved.
+    models_dir = None
+    if campaign.models_dir is not None:
+        path = campaign.models_dir.absolute()
+        if path.is_relative_to(directory.absolute()):
+            path = path.relative_to(directory.absolute())
+        models_dir = str(path)
     plan = Plan(campaign)
     check_versions(store, {**versions(), **campaign.sampler.versions}, adds_runs=extends)
     check_shard(store, shard)
@@ -372,7 +374,7 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
         store.write_meta(
             {
                 ORDERED: campaign.config.model_dump_json(),
-                "models_dir": _as_held(campaign.models_dir, directory),
+                "models_dir": models_dir,
                 "missions": shard.missions(campaign.config),
             }
         )
@@ -401,17 +403,6 @@ def _prepare(session: Session, executor: Executor) -> None:
     session.tell(compiling=True)
     if executor.forks and not is_compiled(campaign.config):
         warm_up(first)
-
-
-def _as_held(models_dir: Path | None, directory: Path) -> str | None:
-    """The path as stored in a ledger: relative if inside the ledger's folder, so that both can be moved."""
-    if models_dir is None:
-        return None
-    path = models_dir.absolute()
-    ledger_folder = directory.absolute()
-    if path.is_relative_to(ledger_folder):
-        path = path.relative_to(ledger_folder)
-    return str(path)
 
 
 def identity_of(campaign: ResolvedCampaign) -> dict[str, Any]:

@@ -139,7 +139,13 @@ class _Meta:
 def damage(connection: sqlite3.Connection) -> str:
     """The first violation of integrity; "" = none."""
     try:
-        return strange_schema(connection) or _structure(connection) or _checksums(connection) or _types(connection)
+        violation = strange_schema(connection)
+        if violation:
+            return violation
+        answer = str(connection.execute("PRAGMA integrity_check(1)").fetchone()[0])  # of SQLite itself
+        if answer != "ok":
+            return answer.splitlines()[-1]
+        return _checksums(connection) or _types(connection)
     except (sqlite3.DatabaseError, TypeError, UnicodeDecodeError) as error:  # TypeError: a value has the wrong type
         return " ".join(str(error).split())  # SQLite quotes text of the file, with its line breaks
 
@@ -152,14 +158,6 @@ def strange_schema(connection: sqlite3.Connection) -> str:
         if sql not in allowed:
             return f"{kind} {name!r} is not of a ledger"
     return ""
-
-
-def _structure(connection: sqlite3.Connection) -> str:
-    """The first violation that SQLite itself finds; "" = none."""
-    answer = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
-    if answer == "ok":
-        return ""
-    return str(answer).splitlines()[-1]
 
 
 def _checksums(connection: sqlite3.Connection) -> str:
@@ -297,10 +295,21 @@ class Store:
                 store._connection.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA};")
                 store.write_meta({IDENTITY: identity, BOUND: True})
             else:
-                store._check(identity)
+                store._check_schema()
+                store._check_content()
+                stored = store.meta(IDENTITY)
+                requested = json.loads(canonical(identity))
+                if stored != requested:
+                    text = f"holds another campaign (differs in: {differences(stored, requested)})"
+                    raise BadInputError(f"{directory}: {text}; choose another directory")
             store._begin_log()
             store._connection.execute("PRAGMA synchronous = NORMAL")
-            store._take_over()
+            # Become the writing process: whoever wrote before finds another generation, and stops.
+            with store._connection:
+                store._connection.execute("BEGIN IMMEDIATE")
+                store._generation = (store.meta(_GENERATION) or 0) + 1
+                row = store.meta_row(_GENERATION, store._generation)
+                store._connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
             use_ledger(directory, identity)
         except BaseException:
             store.close()
@@ -368,16 +377,6 @@ class Store:
                 text += " (it was written by an older mavfi, which still reads it)"
             raise BadInputError(text)
 
-    def _check(self, identity: Mapping[str, Any]) -> None:
-        """Raise a BadInputError for a damaged ledger, or for that of another campaign."""
-        self._check_schema()
-        self._check_content()
-        stored = self.meta("identity")
-        wanted = json.loads(canonical(identity))
-        if stored != wanted:
-            where = f"{self.directory}: holds another campaign"
-            raise BadInputError(f"{where} (differs in: {differences(stored, wanted)}); choose another directory")
-
     def _check_content(self) -> None:
         """Refuse a ledger that fails its integrity check twice, since a disk may fail temporarily."""
         if not damage(self._connection):
@@ -400,14 +399,6 @@ class Store:
                 raise
             raise BadInputError(f"{self.directory / FILE}: another process reads it; try again later") from None
         self._has_log = True
-
-    def _take_over(self) -> None:
-        """Become the writing process: increment the generation."""
-        with self._connection:
-            self._connection.execute("BEGIN IMMEDIATE")
-            self._generation = (self.meta(_GENERATION) or 0) + 1
-            row = self.meta_row(_GENERATION, self._generation)
-            self._connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
 
     @contextmanager
     def writing(self) -> Iterator[None]:

@@ -56,16 +56,14 @@ class KeptRecordings:
         for seed in seeds:
             try:
                 arrays = read_arrays(self._path(seed))
-                recorded = tuple(self._parts_of(training, arrays) for training in self._trainings)
+                recorded = tuple(
+                    training.parts(*(arrays[name] for name in training.parts._fields)) for training in self._trainings
+                )
             except (BadInputError, KeyError):
                 continue
             if all(training.is_whole(part) for training, part in zip(self._trainings, recorded, strict=True)):
                 recordings[seed] = recorded
         return recordings
-
-    @staticmethod
-    def _parts_of(training: Training, arrays: Mapping[str, np.ndarray]) -> Any:  # noqa: ANN401 - `Training.parts`
-        return training.parts(*(arrays[name] for name in training.parts._fields))
 
     def save(self, seed: int, recorded: Recorded) -> None:
         """Write a recording atomically; raises a BadInputError if the folder cannot be written."""

@@ -90,8 +90,15 @@ def compile_ahead(
         BadInputError: A campaign cannot be flown.
         MavfiError: A worker was lost.
     """
-    left = _not_compiled(campaigns)
-    rounds = _rounds(left)
+    # hosts with processes of their own compile nothing
+    left = [resolve(campaign) for campaign in campaigns if not is_compiled(campaign)]
+    left = [campaign for campaign in left if campaign.host.in_process]
+    # each round uses the code of those before it
+    rounds: list[list[_CompileTask]] = [
+        list(_stages(left)),
+        [*_kernels(left), *_detectors(left)],
+        [_Mission(_bare(campaign.config)) for campaign in left],
+    ]
     total = sum(map(len, rounds))
     done = 0
     for tasks in rounds:
@@ -124,21 +131,6 @@ def compile_flight(scenario: Scenario, executor: Executor) -> None:
 def is_compiled(campaign: Campaign) -> bool:
     """Whether the cache has all of a campaign's code, by `compile_ahead` or on a machine that flew it."""
     return _warm_file(campaign).exists()
-
-
-def _not_compiled(campaigns: Iterable[Campaign]) -> list[ResolvedCampaign]:
-    """Campaigns whose code is not in the cache; hosts with processes of their own compile none."""
-    left = [resolve(campaign) for campaign in campaigns if not is_compiled(campaign)]
-    return [campaign for campaign in left if campaign.host.in_process]
-
-
-def _rounds(campaigns: Sequence[ResolvedCampaign]) -> list[list[_CompileTask]]:
-    """Tasks of campaigns in rounds, each of which uses the code of the former ones."""
-    return [
-        list(_stages(campaigns)),
-        [*_kernels(campaigns), *_detectors(campaigns)],
-        [_Mission(_bare(campaign.config)) for campaign in campaigns],
-    ]
 
 
 def _compile(task: _CompileTask) -> None:

@@ -105,7 +105,7 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.store import FILE, IDENTITY, held
-    from mavfi.cli.progress import Bar
+    from mavfi.report.progress import Bar
 
     # check all options before the first flight
     campaign = load_campaign(config).at_scale(scale)
@@ -196,7 +196,7 @@ def _exit_unless_all_hold(verdicts: "Sequence[RequirementVerdict]") -> None:
 
 def _show_counts(directory: Path, status: "Status") -> None:
     """Print how flights ended by setting; of runs that are no flights, the effects of their faults."""
-    from mavfi.cli.progress import effect_counts, run_counts
+    from mavfi.report.progress import effect_counts, run_counts
 
     if not status.flies:
         from mavfi.analysis.effects import effect_rates
@@ -304,7 +304,7 @@ def verify(
     Example: [bold]mavfi campaign verify out/states --share 0.05[/bold]
     """
     from mavfi.campaign.replay import verify as verify_runs
-    from mavfi.cli.progress import Bar
+    from mavfi.report.progress import Bar
 
     check_seed("--seed", seed)
     with Bar("replay", "runs") as bar:

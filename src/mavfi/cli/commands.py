@@ -214,7 +214,10 @@ def run(arguments: Sequence[str]) -> int:
         # a full disk and the like, then what the user installed or not; all others are defects of mavfi
         if failure := machine_failure(error):
             return _refused(failure, EXIT_FAILURE)
-        if failure := _missing_package(error, arguments) or plugin_failure(error):
+        missing = None
+        if isinstance(error, ModuleNotFoundError):
+            missing = missing_package(error, f"mavfi {_verb(arguments)}".rstrip())
+        if failure := str(missing or plugin_failure(error)):
             return _refused(failure, EXIT_BAD_INPUT)
         raise
     if isinstance(code, int):
@@ -245,16 +248,6 @@ def _refused_words(error: typer.TyperException, arguments: Sequence[str]) -> str
         return dropped
     message = _unknown_word(error, arguments) or _refused_value(error) or error.format_message().rstrip(".")
     return f"{message}; see `mavfi {_verb(arguments)}--help`"
-
-
-def _missing_package(error: BaseException, arguments: Sequence[str]) -> str:
-    """The refusal of a command that needs an optional package; "" = the error is another."""
-    if not isinstance(error, ModuleNotFoundError):
-        return ""
-    refusal = missing_package(error, f"mavfi {_verb(arguments)}".rstrip())
-    if refusal is None:
-        return ""
-    return str(refusal)
 
 
 def _as_typed(text: str, arguments: Sequence[str]) -> str:

@@ -72,14 +72,18 @@ def trained_for(incomplete: str) -> list[str]:
     return [f"{autopilot}/{platform}" for autopilot in names("autopilots") for platform in names("platforms")]
 
 
+_LEVELS = ("state", "memory", "instruction", "sensor", "message")
+"""Levels of faults whose places are completed."""
+
+
 def fault(incomplete: str) -> list[str]:
     """Complete the level of a fault, then step by step where it is and what happens."""
     level, colon, target = incomplete.partition(":")
     if not colon:
-        return ["null", *(f"{name}:" for name in _PLACES)]
-    if level not in _PLACES:
+        return ["null", *(f"{name}:" for name in _LEVELS)]
+    if level not in _LEVELS:
         return []
-    places = _PLACES[level]()
+    places = _places_of(level)
     for name, further in places.items():
         # A place that is complete is followed by what it consists of, or by what happens to it.
         if further and target.startswith(name):
@@ -87,45 +91,21 @@ def fault(incomplete: str) -> list[str]:
     return [f"{level}:{name}" for name in places]
 
 
-def _fields() -> Mapping[str, Iterable[str]]:
-    from mavfi.states import STATES
-
-    return {f"{name}.": [field.name for field in (*spec.header, *spec.elements)] for name, spec in STATES.items()}
-
-
-def _memories() -> Mapping[str, Iterable[str]]:
-    from mavfi.states import KERNELS
-
-    return dict.fromkeys(KERNELS, ())
-
-
-def _functions() -> Mapping[str, Iterable[str]]:
-    from mavfi.states import DETECTORS, INJECTABLE
-
-    return dict.fromkeys([*INJECTABLE, *DETECTORS], ())
-
-
-def _units() -> Mapping[str, Iterable[str]]:
+def _places_of(level: str) -> Mapping[str, Iterable[str]]:
+    """The places of a level's faults, each with what may follow it."""
     from mavfi.faults.levels.sensor.fault import FAILING, UNITS
-
-    return {f"{unit}:": FAILING for unit in UNITS}
-
-
-def _publications() -> Mapping[str, Iterable[str]]:
     from mavfi.faults.operations import MESSAGE_OPERATIONS
-    from mavfi.states import STATES
+    from mavfi.states import DETECTORS, INJECTABLE, KERNELS, STATES
 
+    if level == "state":
+        return {f"{name}.": [field.name for field in (*spec.header, *spec.elements)] for name, spec in STATES.items()}
+    if level == "memory":
+        return dict.fromkeys(KERNELS, ())
+    if level == "instruction":
+        return dict.fromkeys([*INJECTABLE, *DETECTORS], ())
+    if level == "sensor":
+        return {f"{unit}:": FAILING for unit in UNITS}
     return {f"{state}:": MESSAGE_OPERATIONS for state in STATES}
-
-
-_PLACES: Mapping[str, Callable[[], Mapping[str, Iterable[str]]]] = {
-    "state": _fields,
-    "memory": _memories,
-    "instruction": _functions,
-    "sensor": _units,
-    "message": _publications,
-}
-"""By level: what gives the places of its faults, each with what may follow it."""
 
 
 def run_id(context: typer.Context, incomplete: str) -> list[str]:

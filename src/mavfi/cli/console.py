@@ -1,37 +1,26 @@
 """Shared by all commands: output, and checks of input before the first flight (`BadInputError`, one line)."""
 
 import json
-import os
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import typer
 from rich import box
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from mavfi.errors import BadInputError, not_known, writing
 from mavfi.files import exists
+from mavfi.report.console import WIDE as WIDE
+from mavfi.report.console import console as console
 
-WIDE = 140
-"""Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
 MAX_LINE_LENGTH = 2000
 """Maximum length of an error message (characters)."""
 FLIGHTS = (".npz",)
 PICTURES = (".png", ".svg", ".pdf")
 PAGES = (".html",)
 """File name extensions."""
-
-
-def console(*, error: bool = False) -> Console:
-    """A console for text; progress goes to the one on stderr, so that stdout can be piped."""
-    stream = sys.stderr if error else sys.stdout
-    if stream.isatty() or "COLUMNS" in os.environ:
-        return Console(stderr=error, highlight=False)
-    return Console(stderr=error, highlight=False, width=WIDE)
 
 
 def titled_table(title: str, **more: Any) -> Table:
@@ -50,17 +39,11 @@ def one_line(text: str) -> str:
     """The text as one line for a terminal: unprintable characters are escaped, long text is shortened in the middle."""
     line = " ".join(text.split())
     if not line.isprintable():
-        line = "".join(map(_printable, line))
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     if len(line) <= MAX_LINE_LENGTH:
         return line
     half = MAX_LINE_LENGTH // 2 - 3
     return f"{line[:half]} ... {line[-half:]}"
-
-
-def _printable(character: str) -> str:
-    if character.isprintable():
-        return character
-    return character.encode("unicode_escape").decode()
 
 
 def complain(text: str, code: int) -> int:

@@ -6,7 +6,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, distribution, requires
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +16,7 @@ from rich.text import Text
 
 from mavfi.cli.commands import EXIT_DONE, EXIT_FAILURE
 from mavfi.cli.console import console, counted
+from mavfi.errors import packages_by_extra
 from mavfi.plugins import extensions
 
 HELP_PANEL = "Tools"
@@ -46,7 +47,7 @@ class Check:
 
 
 def doctor() -> int:
-    """Say whether all is here that flights need, or how to get it.
+    """Say what flights need, what is missing, and how to get it.
 
     Exit code 1 if flights cannot work.
 
@@ -168,30 +169,14 @@ def _disk() -> Check:
 
 def _extras() -> Check:
     """Optional packages, by extra."""
-    missing = sorted(extra for extra, packages in _packages_by_extra().items() if not all(map(_is_installed, packages)))
+    missing = set()
+    for extra, packages in packages_by_extra().items():
+        for package in packages:
+            try:
+                distribution(package)
+            except PackageNotFoundError:
+                missing.add(extra)
+    missing.discard(_NOT_AN_EXTRA)
     if missing:
-        return Check("extras", False, f"pip install 'mavfi[{','.join(missing)}]'")
+        return Check("extras", False, f"pip install 'mavfi[{','.join(sorted(missing))}]'")
     return Check("extras", True, "all installed")
-
-
-def _packages_by_extra() -> dict[str, list[str]]:
-    """Names of the packages of each extra of mavfi, from its metadata."""
-    packages: dict[str, list[str]] = {}
-    for requirement in requires("mavfi") or ():
-        needed, _, marker = requirement.partition(";")
-        _, is_extra, extra = marker.partition("extra ==")
-        name = extra.strip(" '\"")
-        if is_extra and name != _NOT_AN_EXTRA:
-            package = needed
-            for symbol in "<>=!~[ ":
-                package = package.partition(symbol)[0]
-            packages.setdefault(name, []).append(package)
-    return packages
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        distribution(package)
-    except PackageNotFoundError:
-        return False
-    return True

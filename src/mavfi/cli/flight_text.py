@@ -51,8 +51,7 @@ def panel(result: FlightResult) -> Panel:
         Text(below, style="dim"),
         Text(),
         Text.assemble(_verdict(result.status), style="bold"),
-        *_given_up(result),
-        *_unwatched(result),
+        *_remarks(result),
         Text(),
         _figures(result),
         *_fault(result),
@@ -69,20 +68,18 @@ def _verdict(status: MissionStatus) -> Text:
     return Text(f"✗ {status.value}", style="red")
 
 
-def _given_up(result: FlightResult) -> list[RenderableType]:
-    """When recovery gave the mission up, and what the vehicle did from then on."""
+def _remarks(result: FlightResult) -> list[RenderableType]:
+    """When recovery gave the mission up; how the flight with the same fault ended without the detector."""
+    remarks: list[RenderableType] = []
     for alarm in result.log.alarms:
         if alarm.action == Response.HOLD:
-            return [Text(f"  degraded mode {alarm.action!r} from {alarm.time_s:.1f} s on")]
-    return []
-
-
-def _unwatched(result: FlightResult) -> list[RenderableType]:
-    """Status of the flight with the same fault without the detector."""
-    if result.unwatched is None:
-        return []
-    log = result.unwatched.log
-    return [Text.assemble("  without the detector: ", _verdict(log.status), f" ({log.column('time')[-1]:.1f} s)")]
+            remarks.append(Text(f"  degraded mode {alarm.action!r} from {alarm.time_s:.1f} s on"))
+            break
+    if result.unwatched is not None:
+        log = result.unwatched.log
+        time = f" ({log.column('time')[-1]:.1f} s)"
+        remarks.append(Text.assemble("  without the detector: ", _verdict(log.status), time))
+    return remarks
 
 
 def _figures(result: FlightResult) -> Table:
@@ -92,13 +89,18 @@ def _figures(result: FlightResult) -> Table:
     table.add_column("", header_style="dim")
     for heading in ("this flight", "golden run", "difference"):
         table.add_column(heading, justify="right", header_style="dim")
-    # this flight, the golden run if there is one, and the difference
+    # this flight, the golden run if there is one, and the difference, but not of a lost mission: what ends early saves
+    # nothing
+    both_succeed = result.golden is not None and {result.status, result.golden.log.status} == {MissionStatus.SUCCESS}
     qualities: list[QoF] = [quality_of(record) for record in (result.record, golden) if record is not None]
     for label, name, scale, unit in _FIGURES:
         values = [float(getattr(quality, name)) for quality in qualities]
         cells = [f"{scale * value:.1f} {unit}" for value in values]
         if len(values) == 2:
-            cells.append(signed_percent(_relative(result, *values)))
+            change = None
+            if both_succeed and values[1] > 0:
+                change = values[0] / values[1] - 1
+            cells.append(signed_percent(change))
         table.add_row(label, *cells)
     # conditions that are not at their defaults
     scenario = result.scenario
@@ -114,14 +116,6 @@ def _figures(result: FlightResult) -> Table:
     table.add_row("course", f"{record.course_m:.1f} m", style="dim")
     table.add_row("time limit", f"{record.time_limit_s:.1f} s", style="dim")
     return table
-
-
-def _relative(result: FlightResult, value: float, golden_value: float) -> float | None:
-    """Change of a value against the golden run; None if either mission is lost: what ends early saves nothing."""
-    golden = result.golden
-    if golden is None or {result.status, golden.log.status} != {MissionStatus.SUCCESS} or golden_value <= 0:
-        return None
-    return value / golden_value - 1
 
 
 def _fault(result: FlightResult) -> list[RenderableType]:

@@ -9,17 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavfi.cli import observing, options
-from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
+from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, say_written, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
     from mavfi.faults.fault import Fault
-    from mavfi.flight.compose import WatchedMission
-    from mavfi.flight.host import Host
+    from mavfi.flight.host import ArmSetup, Host
     from mavfi.levels.level import Request
-    from mavfi.mission import Scenario
     from mavfi.report.flight_result import FlightResult
 
 HELP_PANEL = "Fly and look"
@@ -54,45 +52,64 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
+    from mavfi.faults.combined import levels_in
+
     fault = fault_text(faults)
     # refuse what is not allowed before the flight, and before slow imports
     check_option_dependencies(mission, fault, fault_seed, detector, profile, models)
-    _check_dead_node(mission, fault)
+    if mission.dead_node != "fresh" and not levels_in(fault) & {"instruction", "memory"}:
+        reason = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
+        raise BadInputError(f"--dead-node: {mission.dead_node}: {reason}")
     observers = observing.chosen_observers(extra, pace, fault)
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)
     check_file("--html", html, PAGES)
     request: Request | Fault | None
     request, host = _chosen_by_extras(mission, {"fault": fault, "html": html, **extra})
-    from mavfi.cli.progress import compiling
     from mavfi.levels.level import parse
+    from mavfi.report.progress import compiling
 
     if fault is not None:
         request = parse(fault, mission.localization)
 
     # fly it; the report of an empty cache covers the imports, which compile some functions
-    with compiling(instrumented=_is_instrumented(mission, fault), flight=True) as cold:
+    is_instrumented = bool(mission.protection) or "instruction" in levels_in(fault)
+    with compiling(instrumented=is_instrumented, flight=True) as cold:
         from mavfi.api import fly_request
         from mavfi.flight.compose import resolve
 
         bare = resolve(mission)
-        if cold:
-            _compile(bare)
-        setup, label, _ = watched(mission, detector, profile, models)
+        if cold:  # on all processors: the flight itself would compile one function after the other
+            from mavfi.campaign.executors.local import LocalExecutor
+            from mavfi.campaign.warm_up import compile_flight
+
+            compile_flight(bare, LocalExecutor(os.cpu_count() or 1))
+        setup = watched(mission, detector, profile, models)
         with observing.observing(observers, extra, pace) as views:
-            result = fly_request(replace(setup, observers=views), request, fault_seed or 0, label, bare, host)
+            result = fly_request(replace(setup, observers=views), request, fault_seed or 0, bare, host)
 
     # write files, and report
     if save is not None:
         _save(save, result, mission, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
-        _draw(picture, result)
+        from mavfi.report.picture import draw_flight
+
+        if result.unwatched is None:
+            draw_flight(picture, result.flight, result.golden, detector=result.detector)
+        else:
+            draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
     if html is not None:
         from mavfi.report.html.flight_page import fly_command, page_of_result, write_flight_page
 
         command = fly_command(mission, fault, fault_seed, detector, profile, models)
         write_flight_page(html, page_of_result(result, setup, bare, command))
-    _show(result, (save, picture, html), as_json=as_json)
+    if as_json:
+        write_json(result.to_json())
+        return
+    from mavfi.cli.flight_text import panel
+
+    console().print(panel(result))
+    say_written(save, picture, html)
 
 
 def fault_text(faults: Sequence[str] | None) -> str | None:
@@ -102,44 +119,6 @@ def fault_text(faults: Sequence[str] | None) -> str | None:
     if not faults:
         return None
     return AND.join(faults)
-
-
-def _is_instrumented(mission: MissionSpec, fault: str | None) -> bool:
-    from mavfi.faults.combined import levels_in
-
-    return bool(mission.protection) or "instruction" in levels_in(fault)
-
-
-def _compile(scenario: Scenario) -> None:
-    """Compile on all processors: the flight itself would compile one function after the other."""
-    from mavfi.campaign.executors.local import LocalExecutor
-    from mavfi.campaign.warm_up import compile_flight
-
-    compile_flight(scenario, LocalExecutor(os.cpu_count() or 1))
-
-
-def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:
-    """Reject a policy for dead nodes without a fault that can kill one."""
-    from mavfi.faults.combined import levels_in
-
-    can_kill = levels_in(fault) & {"instruction", "memory"}
-    if mission.dead_node != "fresh" and not can_kill:
-        reason = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
-        raise BadInputError(f"--dead-node: {mission.dead_node}: {reason}")
-
-
-def _show(result: FlightResult, written: Sequence[Path | None], *, as_json: bool) -> None:
-    """Print the result of a flight, and the names of the files."""
-    from mavfi.cli.flight_text import panel
-
-    if as_json:
-        write_json(result.to_json())
-        return
-    out = console()
-    out.print(panel(result))
-    for path in written:
-        if path is not None:
-            out.print(f"wrote {path}", style="dim", markup=False)
 
 
 def _save(save: Path, result: FlightResult, mission: MissionSpec, detection: dict[str, Path | str | None]) -> None:
@@ -171,16 +150,6 @@ def _chosen_by_extras(mission: MissionSpec, values: dict[str, Any]) -> tuple[Fau
     return fault, host
 
 
-def _draw(picture: Path, result: FlightResult) -> None:
-    """Draw a flight; with a detector, that without it as well."""
-    from mavfi.report.picture import draw_flight
-
-    if result.unwatched is None:
-        draw_flight(picture, result.flight, result.golden, detector=result.detector)
-    else:
-        draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
-
-
 def check_option_dependencies(
     mission: MissionSpec,
     fault: str | None,
@@ -202,28 +171,24 @@ def check_option_dependencies(
         raise BadInputError(f"--fault: {fault}: nothing raises an alarm; allowed: together with --detector")
     of_a_detector = {"--profile": profile, "--models": models}
     for key in OF_A_DETECTOR:
-        if _is_chosen(mission, key):
+        if getattr(mission, key) != MissionSpec.model_fields[key].default:
             of_a_detector[options.option_name(key)] = getattr(mission, key)
     for name, value in of_a_detector.items():
         if value is not None:
             raise BadInputError(f"{name}: {value}: nothing watches the flight; allowed: together with --detector")
 
 
-def _is_chosen(mission: MissionSpec, key: str) -> bool:
-    return bool(getattr(mission, key) != MissionSpec.model_fields[key].default)
-
-
-def watched(mission: MissionSpec, detector: str, profile: str | None, models: Path | None) -> WatchedMission:
+def watched(mission: MissionSpec, detector: str, profile: str | None, models: Path | None) -> ArmSetup:
     """A mission under a detector; refuses options for which the detector has no use."""
-    from mavfi.flight.compose import watched as watched_by
+    from mavfi.flight.compose import prepare
 
     if detector == "none":
-        return watched_by(mission, None)
-    result = watched_by(mission, detector, profile or DEFAULT_PROFILE, models)
-    if not result.model:
+        return prepare(mission, None)
+    setup = prepare(mission, detector, profile or DEFAULT_PROFILE, models)
+    if not setup.model:
         if mission.trained_for:
             text = f"detector {detector!r} is not trained; allowed: none given"
             raise BadInputError(f"--trained-for: {mission.trained_for}: {text}")
         if profile is not None:
             raise BadInputError(f"--profile: {profile}: detector {detector!r} has no profiles; allowed: none given")
-    return result
+    return setup

@@ -41,7 +41,7 @@ def init(
     ],
     directory: Annotated[Path, typer.Argument(metavar="[DIR]", help="Folder; made if absent.")] = Path(),
 ) -> None:
-    """Write a start that works, with comments, to be changed.
+    """Write working, commented files to begin with.
 
     No file is overwritten. It prints the next commands.
 

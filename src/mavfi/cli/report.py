@@ -24,10 +24,10 @@ MAX_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
     from mavfi.analysis.table import Table
-    from mavfi.cli.progress import Bar
     from mavfi.report.campaign_report import CampaignReport
     from mavfi.report.figures import Drawn
     from mavfi.report.html.report_page import EmbeddedFlights
+    from mavfi.report.progress import Bar
 
 
 def report(  # noqa: PLR0913 - one parameter per option
@@ -139,7 +139,7 @@ def report_campaign(directory: Path, html: Path | None, flights: int | None, wor
 @contextmanager
 def page_bar() -> Iterator["Bar"]:
     """Progress of the flights of a page; Ctrl-C stops them, and what is done is written."""
-    from mavfi.cli.progress import Bar
+    from mavfi.report.progress import Bar
 
     with stoppable("Stopped: the page holds no flights."), Bar("flights of the page (Ctrl-C: those done)") as bar:
         yield bar
@@ -162,8 +162,8 @@ def _said_of_page(path: Path, flights: "EmbeddedFlights", directory: Path) -> st
 
 def _write_figures(reported: Reported, folder: Path) -> str:
     """Write figures and tables; return one line of text."""
-    from mavfi.cli.progress import Bar
     from mavfi.report.latex import latex_table
+    from mavfi.report.progress import Bar
     from mavfi.report.style import write_figure, write_talk_figure
 
     paths: list[Path] = []

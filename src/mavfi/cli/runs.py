@@ -10,7 +10,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import PAGES, PICTURES, check_file, console, write_json
+from mavfi.cli.console import PAGES, PICTURES, check_file, console, say_written, write_json
 from mavfi.errors import MavfiError
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def compare(
 def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:
     """Fly a run again, and check that its digest is the same.
 
-    It is flown from its specification. Exit code 1 if it is another run.
+    It is flown from its specification. Exit code 1 if the flights differ.
 
     Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]
     """
@@ -131,20 +131,12 @@ def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.As
         if again.run.record is not None:
             stored = again.run.record.digest or again.run.record.error
         reason = "bits are the same only with the same lock file, on x86-64 Linux"
-        if not _is_replayable(again):
+        if not again.is_replayable:
             reason = "not replayable: the fault was in a live process, or in a kernel whose memory belongs to a library"
         raise MavfiError(f"{directory}: another run: {record.digest or 'no flight'}; stored: {stored}; {reason}")
     if not as_json:
         digest = record.digest or "no flight, as stored"
         console().print(Text.assemble(("✓", "green"), f" the same run, bit for bit: {digest}"))
-
-
-def _is_replayable(again: Replay) -> bool:
-    """Whether all injections of the stored run can be repeated bit for bit."""
-    stored = again.run.record
-    if stored is None:
-        return True
-    return all(injection.details.get("replayable", True) for injection in stored.injections)
 
 
 def _replay_json(again: Replay) -> dict[str, Any]:
@@ -157,7 +149,7 @@ def _replay_json(again: Replay) -> dict[str, Any]:
         "stored_digest": None,
         "status": record.status,
         "stored_status": None,
-        "replayable": _is_replayable(again),
+        "replayable": again.is_replayable,
         "flight_time_s": record.flight_time_s,
     }
     stored = again.run.record
@@ -202,11 +194,8 @@ def explain(
     if as_json:
         write_json(to_json(explanation))
         return
-    out = console()
-    out.print(story_table(lines(explanation)))
-    for path in (picture, html):
-        if path is not None:
-            out.print(f"wrote {path}", style="dim", markup=False)
+    console().print(story_table(lines(explanation)))
+    say_written(picture, html)
 
 
 def shrink(

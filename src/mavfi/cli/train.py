@@ -74,8 +74,8 @@ def train(  # noqa: PLR0913 - one for each option
     import sklearn.neural_network  # noqa: F401
 
     from mavfi.campaign.training import count_false_alarms, environments_of, record, training_mission, trainings_of
-    from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
+    from mavfi.report.progress import Bar
 
     # environments of the flights; an unknown name is refused before the first of them
     trained_in = _names(environments)
@@ -108,8 +108,11 @@ def train(  # noqa: PLR0913 - one for each option
         counts = count_false_alarms(models, out, check, mission, workers, bar.show, checked_in)
     alarms = [{name: _rate(flights) for name, flights in by_environment.items()} for by_environment in counts]
     if as_json:
-        rows = zip(files, models, alarms, strict=True)
-        write_json({"models": [{"file": str(f), **_entry(m), "false_alarms": _rates(a)} for f, m, a in rows]})
+        entries = []
+        for file, model, rates in zip(files, models, alarms, strict=True):
+            false_alarms = {name: asdict(rate) for name, rate in rates.items()}
+            entries.append({"file": str(file), **_entry(model), "false_alarms": false_alarms})
+        write_json({"models": entries})
         return
     _show(models, alarms, out, flights)
 
@@ -125,11 +128,6 @@ def _rate(flights: list[tuple[int, float]]) -> EventRate:
     from mavfi.analysis.statistics import event_rate_by_flight
 
     return event_rate_by_flight([alarms for alarms, _ in flights], [hours for _, hours in flights])
-
-
-def _rates(alarms: dict[str, EventRate]) -> dict[str, Any]:
-    """Plain data."""
-    return {name: asdict(rate) for name, rate in alarms.items()}
 
 
 def _entry(model: Model) -> dict[str, Any]:
@@ -162,9 +160,12 @@ def _show(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path,
     )
     if flights < _ENOUGH_FLIGHTS:
         out.print(Text(f"Too few: the thresholds of fewer than {_ENOUGH_FLIGHTS} flights do not hold.", style="bold"))
+    exposure = ", ".join(f"{rate.hours:.2f} h ({name})" for name, rate in alarms[0].items())
+    if len(alarms[0]) == 1:
+        exposure = exposure.partition(" (")[0]
     shown = titled_table(
         "False alarms per flight hour",
-        caption=f"with the 95 % interval, on {_exposure(alarms[0])} of error-free flight with other seeds\n"
+        caption=f"with the 95 % interval, on {exposure} of error-free flight with other seeds\n"
         "thresholds, worlds, hashes: --json",
         caption_justify="left",
         padding=(0, 1, 0, 0),
@@ -174,20 +175,6 @@ def _show(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path,
     for name in alarms[0]:
         shown.add_column(f"in {name}", justify="right")
     for model, rates in zip(models, alarms, strict=True):
-        shown.add_row(model.kind, model.profile, *map(_alarms, rates.values()))
+        shown.add_row(model.kind, model.profile, *(rate.text or "not counted" for rate in rates.values()))
     out.print(shown)
     out.print(Text(f"The models are in {folder}."), soft_wrap=True)
-
-
-def _exposure(rates: dict[str, EventRate]) -> str:
-    """Flight hours by environment, as text."""
-    if len(rates) == 1:
-        return f"{next(iter(rates.values())).hours:.2f} h"
-    return ", ".join(f"{rate.hours:.2f} h ({name})" for name, rate in rates.items())
-
-
-def _alarms(rate: EventRate) -> str:
-    """A rate of false alarms with its interval."""
-    if rate.per_hour is None:
-        return "not counted"
-    return f"{rate.per_hour:.1f} [{rate.low:.1f}, {rate.high:.1f}]"

@@ -104,12 +104,10 @@ def check_detector(name: str, profile: str) -> None:
         BadInputError: There is no such detector or profile.
     """
     _check_profile(profile)
-    if ":" in name:
-        return
-    _refuse_dropped(name)
     every = detector_names()
-    if name not in every:
-        raise BadInputError(f"detector {not_known(name, every, 'or package:Class')}{without_class(name)}")
+    if ":" not in name and name not in every:
+        unknown_name = f"detector {not_known(name, every, 'or package:Class')}{without_class(name)}"
+        raise BadInputError(dropped_name("detectors", name) or unknown_name)
 
 
 def check_kernel(
@@ -167,7 +165,7 @@ def mission_keys(detector: str | Detector) -> Mapping[str, Any]:
         BadInputError: The attribute has other keys than `OF_RECOVERY`, or the class does not inherit `Detector`.
     """
     if isinstance(detector, str):
-        if not detector or detector in _SHIPPED or detector in names("detectors"):
+        if not detector or detector in _SHIPPED or detector in _configs():
             return _config_of(detector).mission
         try:
             factory = detector_class(detector)
@@ -295,16 +293,8 @@ def _check_profile(profile: str) -> None:
         raise BadInputError(f"detector profile {not_known(profile, PROFILES)}")
 
 
-def _refuse_dropped(name: str) -> None:
-    """Refuse a detector of an earlier version; the message names its successor."""
-    refusal = dropped_name("detectors", name)
-    if refusal:
-        raise BadInputError(refusal)
-
-
 def detector_class(name: str) -> Any:  # noqa: ANN401 - a class, or a function of a user's own
     """The class of a detector by name, imported; `BadInputError` if there is none."""
-    _refuse_dropped(name)
     return load_object("detector", name, GROUP, _SHIPPED)
 
 
@@ -327,12 +317,15 @@ def _options_of(name: str, profile: str, factory: Any, options: Mapping[str, Any
     return chosen | dict(options)
 
 
-@cache
 def _config_of(name: str) -> DetectorConfig:
     """The file of a detector in configs/detectors, or the defaults."""
-    if name in names("detectors"):
-        return shipped("detectors", DetectorConfig, name)
-    return DetectorConfig(name=name)
+    return _configs().get(name) or DetectorConfig(name=name)
+
+
+@cache
+def _configs() -> dict[str, DetectorConfig]:
+    """The files in configs/detectors, by name of the detector."""
+    return {name: shipped("detectors", DetectorConfig, name) for name in names("detectors")}
 
 
 def _build(
@@ -343,11 +336,14 @@ def _build(
 ) -> Detector:
     """Construct a detector with what it takes from the mission, and its options; None = the default of the class."""
     chosen = {key: value for key, value in options.items() if value is not None}
-    detector = require_detector(build("detector", name, factory, needs=_METHODS, of_mission=of_mission, **chosen))
+    instance = build("detector", name, factory, needs=_METHODS, of_mission=of_mission, **chosen)
+    detector = require_detector(instance)
     # The inherited check never raises an alarm: in a user's own class, its name is misspelled.
     if ":" in name and type(detector).check is Detector.check and not (detector.parts or detector.duplicates):
-        question = hint("check", [method for method in vars(type(detector)) if not hasattr(Detector, method)])
-        raise BadInputError(f"detector {name!r}: lacks check{question}; allowed: with check(state, time_us)")
+        methods = [method for method in vars(type(detector)) if not hasattr(Detector, method)]
+        raise BadInputError(
+            f"detector {name!r}: lacks check{hint('check', methods)}; allowed: with check(state, time_us)"
+        )
     for part in custom_parts(detector):
         part.requested_as = name
     return detector

@@ -7,7 +7,8 @@ from typing import Any, cast
 from mavfi.detectors.detector import Detector
 from mavfi.faults.injector import RewindableInjector
 from mavfi.faults.levels.state_injector import CounterWatch
-from mavfi.flight.loop import Loop, LoopMemory
+from mavfi.flight.loop import Loop
+from mavfi.flight.state import FlightState
 from mavfi.pipeline.memory import OpaqueKeeper, Remembers, Saved, Scratch
 from mavfi.record import AlarmRecord
 from mavfi.states import Stage
@@ -15,13 +16,13 @@ from mavfi.states import Stage
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instant:
-    """State of plant, loop and kernels at an instant; immutable, shared by flights.
+    """State of plant, loop and kernels at an instant; never modified, shared by flights.
 
     `scratch` has what determines the contents of the kernels' work arrays, by kernel; None = it was not saved.
     """
 
     plant: Any
-    loop: LoopMemory
+    flight: FlightState
     kernels: dict[str, Saved]
     scratch: dict[str, tuple[Any, ...]] | None = None
 
@@ -80,13 +81,13 @@ def take(loop: Loop, *, scratch: bool = False) -> Instant:
     saved_arrays = None
     if scratch:
         saved_arrays = {name: tuple(array.save() for array in arrays) for name, arrays in _scratch(loop).items()}
-    return Instant(loop.plant.snapshot(), loop.memory().copy(), kernels, saved_arrays)
+    return Instant(loop.plant.snapshot(), loop.state.copy(), kernels, saved_arrays)
 
 
 def put(loop: Loop, instant: Instant) -> None:
     """Restore a loop to one of its own instants; record and taps are unchanged."""
     loop.plant.restore(instant.plant)
-    loop.restore(instant.loop)
+    loop.state = instant.flight.copy()  # which remains valid for further flights
     for name, kernel in _kernels(loop).items():
         kernel.restore(instant.kernels[name])
     for name, saved in (instant.scratch or {}).items():
@@ -112,7 +113,7 @@ def is_at(loop: Loop, instant: Instant) -> bool:
     if not loop.plant.is_at(instant.plant):
         return False
     _normalize(loop)
-    return loop.memory().same(instant.loop) and all(
+    return loop.state.same(instant.flight) and all(
         kernel.same(instant.kernels[name]) for name, kernel in _kernels(loop).items()
     )
 
@@ -128,13 +129,11 @@ def _scratch(loop: Loop) -> dict[str, tuple[Scratch, ...]]:
 def _normalize(loop: Loop) -> None:
     """Bring what has no effect on the flight into one form, so that equivalent states compare equal.
 
-    Queue entries are renumbered from 0, as only their order matters.  Idle planning kernels are marked: they are rolled
+    Idle planning kernels are marked: they are rolled
     back only on one of their own publications, whose step marks them first.  A kernel with a pending recomputation
     request keeps its mark.
     """
-    entries = sorted(loop.queue, key=lambda entry: entry[:2])
-    loop.queue = [(time, number, action, details) for number, (time, _, action, details) in enumerate(entries)]
-    loop.order = len(loop.queue)
+    loop.state.normalize()
     for kernel in loop.kernels.values():
-        if kernel.stage is Stage.PLANNING and kernel.name not in (*loop.busy, *loop.requests):
+        if kernel.stage is Stage.PLANNING and kernel.name not in (*loop.state.busy, *loop.state.requests):
             kernel.mark()

@@ -24,10 +24,12 @@ from mavfi.faults.levels.instruction import ForkPoint
 from mavfi.faults.levels.instruction.plan import changed_nothing, injection_of
 from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.flight.combined_faults import CombinedInjector
+from mavfi.flight.counted_functions import CallResult
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.fast_forward import CallResult
-from mavfi.flight.forks import WAITING, FaultCase, Forks, FromTakeOff, Published, case_of, split_at_call
+from mavfi.flight.forks import Forks, split_at_call
+from mavfi.flight.from_take_off import FromTakeOff
 from mavfi.flight.host import Flight
+from mavfi.flight.instruction_cases import WAITING, FaultCase, Published, case_of
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.record import FlightLog, Injection, KernelEffect

@@ -10,6 +10,7 @@ import numpy as np
 
 from mavfi.flight.compose import new_loop
 from mavfi.flight.loop import Loop
+from mavfi.flight.state import EventKind
 from mavfi.mission import Scenario
 from mavfi.rewriting import check_flown
 from mavfi.sim.camera import pixel_directions
@@ -104,7 +105,7 @@ def see(scenario: Scenario) -> None:
     """Compile perception, and how a path around what it sees is shortened: what follows from a depth image."""
     loop = new_loop(scenario, make_plant=_Standing)
     loop.sense(0)
-    loop.publish(loop.sensors.depth(), 0)
+    loop.publish(loop.sensors.depth(loop.state), 0)
     _run(loop, periods=_PERIODS)
 
 
@@ -120,7 +121,7 @@ def move(scenario: Scenario) -> None:
 
 def _run(loop: Loop, periods: int = 0) -> None:
     """Run until what was published has reached its readers, and for some control periods."""
-    loop.at(_LATER_US, "tick")
+    loop.state.schedule(_LATER_US, EventKind.TICK)
     loop.run(until=periods)
 
 

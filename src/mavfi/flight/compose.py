@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -410,28 +410,14 @@ def detector_for(
     return load_detector(name, profile, models_dir, mission, options=options, trained_for=trained_for)
 
 
-class WatchedMission(NamedTuple):
-    """A mission under a detector.
-
-    Attributes:
-        setup: Setup of its flights.
-        label: The detector's name, and profile if it has one; "" = no detector.
-        model: Hash of its trained model; "" = it has none.
-    """
-
-    setup: ArmSetup
-    label: str = ""
-    model: str = ""
-
-
-def watched(
+def prepare(
     mission: MissionSpec,
     detector: Detector | str | None,
     profile: str = "paper",
     models: Path | None = None,
     options: Mapping[str, Any] | None = None,
-) -> WatchedMission:
-    """Resolve a mission, and load the detector that watches it.
+) -> ArmSetup:
+    """Resolve a mission, and load the detector that watches it: all that its flights need.
 
     Args:
         mission: The mission.
@@ -445,19 +431,19 @@ def watched(
         SpecMismatchError: The model was trained for a different configuration.
     """
     if detector is None:
-        return WatchedMission(ArmSetup(resolve(mission), recovery=RecoveryPolicy.of(mission)))
+        return ArmSetup(resolve(mission), recovery=RecoveryPolicy.of(mission))
     mission = with_keys_of(mission, detector)
     scenario = resolve(mission)
     recovery = RecoveryPolicy.of(mission)
     if not isinstance(detector, str):
-        return WatchedMission(ArmSetup(scenario, lambda: detector, recovery), type(detector).__name__)
+        return ArmSetup(scenario, lambda: detector, recovery, label=type(detector).__name__)
     loaded, model = detector_for(scenario, detector, profile, models, mission.trained_for, options)
     label = detector
     if model:
         label += f" ({profile})"
     if model and mission.trained_for:
         label += f", trained for {mission.trained_for}"
-    return WatchedMission(ArmSetup(scenario, lambda: loaded, recovery), label, model)
+    return ArmSetup(scenario, lambda: loaded, recovery, label=label, model=model)
 
 
 def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, Protocol
 
 from mavfi.config import Config
 from mavfi.detectors.detector import Detector
-from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, find_level
 from mavfi.flight.decide import INLINE, RecoveryPolicy
@@ -84,7 +83,8 @@ class DetectorChoice(NamedTuple):
 class ArmSetup:
     """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
 
-    Hosts that train detectors themselves (`Host.trains`) get the `choice` in place of a factory.
+    Hosts that train detectors themselves (`Host.trains`) get the `choice` in place of a factory.  A single mission has
+    the `label` of its detector (name, and profile if it has one), and the hash of its trained `model`.
 
     Observers (`flight.loop.Listener`) take part in flights of the host `firmware`, and of the host `local` without
     fast-forward, except for faults in instructions.
@@ -95,6 +95,8 @@ class ArmSetup:
     recovery: RecoveryPolicy = INLINE
     observers: tuple[Any, ...] = ()
     choice: DetectorChoice | None = None
+    label: str = ""
+    model: str = ""
 
     def detector(self) -> Detector | None:
         """A detector for flights of the arm; None = no detector."""
@@ -245,9 +247,6 @@ def host_class(name: str) -> type[Host]:
     Raises:
         BadInputError: The host is unknown or cannot be imported.
     """
-    refusal = dropped_name("hosts", name)
-    if refusal:
-        raise BadInputError(refusal)
     loaded_class: type[Host] = load_object("host", name, GROUP, SHIPPED)
     return loaded_class
 

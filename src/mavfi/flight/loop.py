@@ -9,8 +9,7 @@ import heapq
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 from weakref import proxy
 
@@ -19,15 +18,15 @@ import numpy as np
 from mavfi.config import LocalizationConfig, PlatformConfig
 from mavfi.errors import BadInputError
 from mavfi.faults.levels.state_injector import ActedOn
-from mavfi.flight.decide import SCANNING, Action, PendingResult, Response
+from mavfi.flight.decide import SCANNING, Action, Response
 from mavfi.flight.host import Flight
 from mavfi.flight.plant import Plant
+from mavfi.flight.state import EventKind, FlightState
 from mavfi.flight.taps import Taps
-from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
+from mavfi.mission import FLY_AWAY_MARGIN, DeadNode, MissionStatus, Scenario, time_limit
 from mavfi.numerics.jit import redirected
 from mavfi.pipeline.functions import Compiled
 from mavfi.pipeline.kernel import Kernel, repeat
-from mavfi.pipeline.memory import Memory
 from mavfi.record import AlarmRecord, Event, FlightLog, Injection, Profile
 from mavfi.sim.environments import World
 from mavfi.sim.scene import STEP_US
@@ -47,8 +46,6 @@ from mavfi.states import (
 
 CONTROL_PERIOD_US = 20_000
 """Period of the periodic kernels, of the status and of the log's rows (us)."""
-_TICK = "tick"
-"""Action of a control period."""
 _REQUESTED_AT_TICKS = tuple(
     name for name, spec in KERNELS.items() if spec.stage is Stage.PLANNING and spec.trigger == "input"
 )
@@ -150,19 +147,8 @@ class MissionJudge:
 
 
 # ---- sensors --------------------------------------------------------------------------------------------------------
-_ESTIMATE = ODOMETRY["estimator"]
-
-
-@dataclass(slots=True)
-class SensorMemory(Memory):
-    """When the next position fix is due (us), and the last estimate published to consumers: position, quaternion."""
-
-    next_fix_us: int = 0
-    estimate: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
-
-
 class Sensors:
-    """The sensors of one flight; `estimating`: whether an estimator is used; `memory`: their state.
+    """The sensors of one flight; `estimating`: whether an estimator is used.
 
     With an estimator, the true pose is published only through sensors: an image carries the last estimate published to
     consumers, whereas the camera renders from the true pose.
@@ -172,7 +158,6 @@ class Sensors:
         self.estimating = localization.kind == "estimator"
         self._plant = plant
         self._period_us = localization.position_period_us
-        self.memory = SensorMemory()
 
     def samples_between(self, now: int, later: int) -> range:
         """Sampling instants of the IMU (us) between `now` and the next control period `later`, both exclusive."""
@@ -180,32 +165,25 @@ class Sensors:
             return range(now + STEP_US, later, STEP_US)
         return range(0)
 
-    def depth(self) -> State:
+    def depth(self, flight: FlightState) -> State:
         """A depth image with the pose at which consumers take it to be recorded."""
         ranges, pose = self._plant.depth()
-        state = new_state("sensor.depth", len(ranges))
         if self.estimating:
-            floats(state.header, 7)[:] = self.memory.estimate
-        else:
-            floats(state.header, 7)[:] = pose
+            pose = flight.estimate
+        state = new_state("sensor.depth", len(ranges))
+        floats(state.header, 7)[:] = pose
         state.elements["range"] = ranges
         return state
 
-    def motion(self, now: int) -> list[State]:
+    def motion(self, flight: FlightState) -> list[State]:
         """Motion sensors: the true odometry; or an IMU sample, preceded by a position fix when one is due."""
         if not self.estimating:
             return [_state(ODOMETRY["truth"], self._plant.odometry)]
         measured = []
-        if now >= self.memory.next_fix_us:
-            self.memory.next_fix_us += self._period_us
+        if flight.now >= flight.next_fix_us:
+            flight.next_fix_us += self._period_us
             measured.append(_state("sensor.position", self._plant.position_fix()))
         return [*measured, _state("sensor.imu", self._plant.imu())]
-
-    def see(self, state: State) -> None:
-        """Store the last estimate published to consumers."""
-        if state.spec.name == _ESTIMATE:
-            values = floats(state.header, 10)
-            self.memory.estimate = np.concatenate([values[:3], values[6:]])
 
 
 def _state(name: str, values: np.ndarray) -> State:
@@ -318,25 +296,6 @@ class Listener:
 
 
 # ---- the loop -------------------------------------------------------------------------------------------------------
-@dataclass(slots=True)
-class LoopMemory(Memory):
-    """State of a loop, excluding plant, kernels and taps; attributes as of `Loop`."""
-
-    now: int
-    order: int
-    queue: list[tuple[int, int, str, tuple[Any, ...]]]
-    busy: dict[str, State | None]
-    awaited: dict[str, PendingResult]
-    requests: dict[str, Action]
-    down: set[str]
-    mapped: bool
-    captured_us: int
-    failed_plans: int
-    command: np.ndarray
-    reference: np.ndarray
-    sensing: SensorMemory
-
-
 class Loop:
     """One flight.
 
@@ -349,27 +308,16 @@ class Loop:
         marks: Whether kernels are marked before their steps, which allows recomputation.
 
     Attributes:
+        state: All that changes in the flight, besides plant, kernels and record.
         taps: Taps of every published state; hosts install theirs before the flight.
-        actions: Additional actions of hosts for the event queue, by name.
         listeners: Called at the named moments of the flight, in list order.
-        busy: Kernels whose latency has not elapsed, each with its pending input.
-        awaited: Recomputations in progress, by state.
-        requests: Recomputations requested for the kernel's next step, by kernel (coupling `observer`).
-        down: Kernels whose node is down.
         renew: Constructs the kernels of a dead node, given one of them (others are ignored); {} = it never returns.
+        restart: Starts the node of a kernel again, see `flight.restarts`; set by what schedules restarts.
         verify: Called with a kernel, the results of a step, and the instant (us); returns the results to publish and
             the additional time (us).  None = results are published unverified.
         stand_ins: Functions of plug-ins, each with what is called instead while the loop runs.
-        repeating: Whether the current step repeats another one for verification.
+        repeating: Whether the current step repeats another one for verification; never between two events.
         forked: Whether this process was forked for an injected call.
-        mapped: Whether the map contains the scan in progress, whose collision check has not ended.
-        captured_us: Instant of the last image (us).
-        failed_plans: Number of consecutive plans without a path.
-        command: The command in force: velocity (m/s) and yaw rate (rad/s). Shape (4,).
-        reference: Position of the way-point in force (m). Shape (3,).
-        single_image: Whether an image is requested only if none is scheduled: scans that arrive twice or out of order
-            would otherwise multiply.
-        status: The final status; None = the mission continues.
     """
 
     def __init__(
@@ -400,30 +348,33 @@ class Loop:
         publications = PublicationCounts(states_with(scenario.localization.kind).values(), want_profile=want_profile)
         self.record = LoopRecord(self.kernels, publications)
 
-        # what takes part in the flight
-        self.taps = Taps()
-        self.actions: dict[str, Callable[..., None]] = {}
+        # what takes part in all flights of this loop
         self.listeners: list[Listener] = []
-        self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
         self.stand_ins: tuple[tuple[Compiled, Compiled], ...] = ()
-
-        # the state of the flight, see `LoopMemory`
-        self.queue: list[tuple[int, int, str, tuple[Any, ...]]] = []
-        self.order = 0
-        self.now = 0
-        self.busy: dict[str, State | None] = {}
-        self.awaited: dict[str, PendingResult] = {}
-        self.requests: dict[str, Action] = {}
-        self.down: set[str] = set()
         self.repeating = False
         self.forked = False
-        self.single_image = False
-        self.mapped = False
-        self.captured_us = 0
-        self.failed_plans = 0
-        self.command = np.zeros(4)
-        self.reference = plant.odometry[:3].copy()
-        self.status: MissionStatus | None = None
+        self._start_position = plant.odometry[:3].copy()
+        self.reset()
+
+    def reset(self) -> None:
+        """Prepare for another flight: state before take-off, no taps.
+
+        Plant, kernels and record are restored from a checkpoint, see `flight.checkpoints`.
+        """
+        self.state = FlightState(self._start_position.copy())
+        self.taps = Taps()
+        self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
+        self.restart: Callable[[int, str, DeadNode], None]
+
+    @property
+    def now(self) -> int:
+        """The current instant (us)."""
+        return self.state.now
+
+    @property
+    def status(self) -> MissionStatus | None:
+        """The final status; None = the mission continues."""
+        return self.state.status
 
     @property
     def injected(self) -> bool:
@@ -438,10 +389,9 @@ class Loop:
         listener.begin(self)
 
     # ---- time -------------------------------------------------------------------------------------------------------
-    def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
-        """Schedule a method, or one of `actions`, by name; events of equal time keep the order of their requests."""
-        self.order += 1
-        heapq.heappush(self.queue, (time_us, self.order, action, arguments))
+    def call_at(self, time_us: int, function: Callable[[int], None]) -> None:
+        """Call a function with an instant (us) at that instant; checkpoints must not be taken until then."""
+        self.state.schedule(time_us, EventKind.CALL, function)
 
     def fly(self) -> Flight:
         """Run until the mission has a status; deterministic, byte for byte."""
@@ -451,13 +401,12 @@ class Loop:
             return self.flight()
 
     def begin(self) -> None:
-        """Schedule the first actions; with an estimator, the first image requires an estimate."""
+        """Schedule the first events; with an estimator, the first image requires an estimate."""
+        first_events = [EventKind.CAPTURE, EventKind.TICK]
         if self.sensors.estimating:
-            self.at(0, _TICK)
-            self.at(0, "capture")
-        else:
-            self.at(0, "capture")
-            self.at(0, _TICK)
+            first_events.reverse()
+        for kind in first_events:
+            self.state.schedule(0, kind)
 
     def run(self, until: int = sys.maxsize) -> None:
         """Run until the mission has a status, or until `until` control periods have elapsed and the next is due."""
@@ -465,16 +414,29 @@ class Loop:
             self._run(until)
 
     def _run(self, until: int) -> None:
-        """The actions of `run`."""
-        while self.status is None:
-            _, _, action, _ = self.queue[0]
-            if action == _TICK and len(self.record.rows) >= until:
+        """Handle the events of `run`, in order."""
+        flight = self.state
+        while flight.status is None:
+            _, _, kind, _ = flight.queue[0]
+            if kind is EventKind.TICK and len(self.record.rows) >= until:
                 return
-            self.now, _, action, arguments = heapq.heappop(self.queue)
-            # the plant stops at the first physics step at or after this instant
-            self.plant.advance(-(-self.now // STEP_US) * STEP_US)
-            method = self.actions.get(action) or getattr(self, action)
-            method(self.now, *arguments)
+            flight.now, _, kind, arguments = heapq.heappop(flight.queue)
+            # The plant stops at the first physics step at or after this instant.
+            self.plant.advance(-(-flight.now // STEP_US) * STEP_US)
+            HANDLERS[kind](self, flight.now, *arguments)
+
+    def fly_until(self, may_stop: Callable[[], bool]) -> Flight | None:
+        """Fly until `may_stop`, called after each control period, is true, which returns None; or to the end."""
+        self.begin()
+        while self.status is None and not may_stop():
+            self.run(len(self.record.rows) + 1)
+        if self.status is None:
+            return None
+        return self.flight()
+
+    def end(self, status: MissionStatus) -> None:
+        """End the mission after the event in progress."""
+        self.state.status = status
 
     def flight(self) -> Flight:
         """The flight; requires that the mission has a status."""
@@ -489,44 +451,46 @@ class Loop:
     # ---- sensors and the control period -----------------------------------------------------------------------------
     def capture(self, now: int) -> None:
         """Take a depth image, or reuse the last one if a recomputation of perception is requested."""
-        self.captured_us = now
-        self.mapped = False
-        request = self.requests.pop(SCANNING[0], None)
+        self.state.captured_us = now
+        self.state.is_mapped = False
+        request = self.state.requests.pop(SCANNING[0], None)
         if request is not None:
             self.recompute(request, now)
             return
         if self.marks:
             for name in SCANNING:
                 self.kernels[name].mark()
-        self.deliver(self.sensors.depth(), now)
+        self.deliver(self.sensors.depth(self.state), now)
 
     def tick(self, now: int) -> None:
         """One control period: evaluate the status, sample the motion sensors, start the periodic kernels."""
+        flight = self.state
         for listener in self.listeners:
             listener.before_tick(now)
-        self.status = self.status or self.judge.status(self.plant, self.failed_plans, now)
-        self.record.write_row(now, self.plant.odometry, self.command, self.reference)
-        if self.status is None:
+        flight.status = flight.status or self.judge.status(self.plant, flight.failed_plans, now)
+        self.record.write_row(now, self.plant.odometry, flight.command, flight.reference)
+        if flight.status is None:
             self._control_period(now)
         for listener in self.listeners:
             listener.after_tick(now)
 
     def _control_period(self, now: int) -> None:
         """Sample the sensors, start the periodic kernels, and schedule the next control period."""
+        flight = self.state
         self.sense(now)
         for later in self.sensors.samples_between(now, now + CONTROL_PERIOD_US):
-            self.at(later, "sense")
+            flight.schedule(later, EventKind.SENSE)
         for name in PERIODIC:
-            if name not in self.busy:
+            if name not in flight.busy:
                 self.start(self.kernels[name], now)
-        self.at(now + CONTROL_PERIOD_US, _TICK)
+        flight.schedule(now + CONTROL_PERIOD_US, EventKind.TICK)
         for name in _REQUESTED_AT_TICKS:
-            if name in self.requests and name not in self.busy:
+            if name in flight.requests and name not in flight.busy:
                 self.start(self.kernels[name], now)
 
     def sense(self, now: int) -> None:
         """Publish the motion sensors: odometry, or the estimator's inputs."""
-        for state in self.sensors.motion(now):
+        for state in self.sensors.motion(self.state):
             self.deliver(state, now)
 
     # ---- kernels ----------------------------------------------------------------------------------------------------
@@ -536,7 +500,7 @@ class Loop:
         `latency_us` overrides the kernel's latency.
         """
         if kernel.name not in SCANNING:  # perception is recomputed and marked as a whole, by `capture`
-            request = self.requests.pop(kernel.name, None)
+            request = self.state.requests.pop(kernel.name, None)
             if request is not None:
                 if request.kind is not Response.RECOMPUTE:
                     kernel.mark()  # the request replaces the step of this period
@@ -557,33 +521,34 @@ class Loop:
         """Publish a kernel's results after a latency; results of a dead node are lost."""
         for listener in self.listeners:
             listener.after_step(kernel, states, now)
-        if kernel.name in self.down:
+        if kernel.name in self.state.down:
             return
         self.record.compute_us[kernel.name] += self.latencies.of_kernel(kernel.name, now)
         if latency_us == 0:
             self._deliver_all(kernel.name, states, now)
             return
-        self.busy[kernel.name] = None
-        self.at(now + latency_us, "done", kernel.name, states)
+        self.state.busy[kernel.name] = None
+        self.state.schedule(now + latency_us, EventKind.STEP_DONE, kernel.name, states)
 
-    def done(self, now: int, name: str, states: list[State]) -> None:
+    def _step_done(self, now: int, name: str, states: list[State]) -> None:
         """Publish the results of a kernel whose latency has elapsed, and start its pending input."""
-        if name in self.down:
+        flight = self.state
+        if name in flight.down:
             return
-        waiting = self.busy.pop(name, None)
+        pending_input = flight.busy.pop(name, None)
         self._deliver_all(name, states, now)
-        if waiting is None or name in self.down:
+        if pending_input is None or name in flight.down:
             return
         kernel = self.kernels[name]
-        if name in self.busy:  # it is being recomputed: the pending input remains pending
-            self.busy[name] = self.busy[name] or waiting
-        elif kernel.receive(waiting, now):
+        if name in flight.busy:  # it is being recomputed: the pending input remains pending
+            flight.busy[name] = flight.busy[name] or pending_input
+        elif kernel.receive(pending_input, now):
             self.start(kernel, now)
 
     def _deliver_all(self, name: str, states: list[State], now: int) -> None:
         """Publish a kernel's results; the response to an alarm may terminate its node midway."""
         for state in states:
-            if name not in self.down:
+            if name not in self.state.down:
                 self.deliver(state, now)
 
     # ---- publications -----------------------------------------------------------------------------------------------
@@ -605,7 +570,6 @@ class Loop:
         """
         self.watch_losses()
         self.taps.loses_unnoticed = True
-        self.single_image = True
 
     def lost(self, state: State, now: int) -> None:
         """A message is lost in transit: without this scan, perception is ready for the next image."""
@@ -614,62 +578,52 @@ class Loop:
 
     def _next_image(self, now: int) -> None:
         """Schedule the next image: now, but not before the camera has one."""
-        if self.single_image and any(action == "capture" for _, _, action, _ in self.queue):
-            return
-        self.at(max(now, self.captured_us + self.scenario.camera.period_us), "capture")
+        flight = self.state
+        if self.taps.loses_unnoticed and any(kind is EventKind.CAPTURE for _, _, kind, _ in flight.queue):
+            return  # else scans that arrive twice or out of order would multiply
+        flight.schedule(max(now, flight.captured_us + self.scenario.camera.period_us), EventKind.CAPTURE)
 
-    def transmit(self, now: int, state: State) -> None:
-        """A value arrives that the injector has held back, or sends once more."""
+    def transmit(self, state: State, time_us: int) -> None:
+        """Let a message arrive at an instant (us) that the injector has held back, or sends once more."""
+        self.state.schedule(time_us, EventKind.ARRIVE, state)
+
+    def _arrive(self, now: int, state: State) -> None:
+        """Hand such a message to its consumers."""
         seen = self.taps.arrive(state, now)
         if seen is not None:
             self.publish(seen, now)
 
-    def resend(self, now: int, state: State) -> None:
-        """Retransmit the producer's copy of a value."""
-        self.deliver(state, now)
-
     def publish(self, state: State, now: int) -> None:
         """Hand a value to its consumers, and start the steps that it makes due."""
+        flight = self.state
         name = state.spec.name
         self.record.published(state, now)
-        if name == "planning.path":
-            if len(state.elements):
-                self.failed_plans = 0
-            else:
-                self.failed_plans += 1
         for kernel in self.readers[name]:
             if kernel.receive(state, now) and kernel.name not in PERIODIC:
-                if kernel.name in self.busy:
-                    self.busy[kernel.name] = state
+                if kernel.name in flight.busy:
+                    flight.busy[kernel.name] = state
                 else:
                     self.start(kernel, now)
-        route = _ROUTES.get(name)
-        if route is not None:
-            route(self, state, now)
-
-    def _command_vehicle(self, state: State, now: int) -> None:
-        """The flight controller receives a command."""
-        values = floats(state.header, 5)
-        self.command = values[:4].copy()
-        self.plant.command(self.command, float(values[4]))
-
-    def _see_estimate(self, state: State, now: int) -> None:
-        """Later images carry the pose of this estimate."""
-        self.sensors.see(state)
-
-    def _set_reference(self, state: State, now: int) -> None:
-        """Later rows of the record have this way-point as their reference."""
-        self.reference = floats(state.header, 3).copy()
-
-    def _end_mapping(self, state: State, now: int) -> None:
-        """The map contains the scan: the collision check that follows ends perception."""
-        self.mapped = True
-
-    def _end_perception(self, state: State, now: int) -> None:
-        """The collision check of a scan has ended: perception is ready for the next image."""
-        if self.mapped:
-            self.mapped = False
-            self._next_image(now)
+        # What the loop itself does with the value.
+        match name:
+            case "control.command":  # the flight controller receives it
+                values = floats(state.header, 5)
+                flight.command = values[:4].copy()
+                self.plant.command(flight.command, float(values[4]))
+            case "planning.waypoint":  # later rows of the record have it as their reference
+                flight.reference = floats(state.header, 3).copy()
+            case "perception.odometry":  # later images carry the pose of this estimate
+                values = floats(state.header, 10)
+                flight.estimate = np.concatenate([values[:3], values[6:]])
+            case "perception.map_update":  # the map contains the scan; the collision check that follows ends perception
+                flight.is_mapped = True
+            case "perception.collision_status" if flight.is_mapped:  # perception is ready for the next image
+                flight.is_mapped = False
+                self._next_image(now)
+            case "planning.path" if len(state.elements) == 0:
+                flight.failed_plans += 1
+            case "planning.path":
+                flight.failed_plans = 0
 
     # ---- recovery ---------------------------------------------------------------------------------------------------
     def recompute(self, action: Action, now: int) -> None:
@@ -706,25 +660,48 @@ class Loop:
         self.record.recompute_us[action.stage.value] += cost_us
         return cost_us
 
-    # ---- memory -----------------------------------------------------------------------------------------------------
-    def memory(self) -> LoopMemory:
-        """The loop's state by reference; a checkpoint copies it."""
-        return LoopMemory(*(getattr(self, name) for name in LoopMemory.__slots__))
+    # ---- nodes ------------------------------------------------------------------------------------------------------
+    def take_down(self, names: Collection[str]) -> None:
+        """Take the kernels of a node down: their step in progress is lost, and so are recomputations."""
+        flight = self.state
+        flight.down.update(names)
+        for name in names:
+            flight.busy[name] = None
+            flight.requests.pop(name, None)
+        for state in list(flight.awaited):
+            if STATES[state].writer in names:
+                del flight.awaited[state]  # the recomputation died with the node: its next publication is checked
 
-    @property
-    def sensing(self) -> SensorMemory:
-        """State of the sensors."""
-        return self.sensors.memory
+    def bring_back(self, kernels: Collection[Kernel]) -> None:
+        """Replace the kernels of a node that was down; nothing is pending for them."""
+        for kernel in kernels:
+            self.kernels[kernel.name] = kernel
+            self.state.down.discard(kernel.name)
+            self.state.busy.pop(kernel.name, None)
+        for state, readers in self.readers.items():
+            self.readers[state] = [self.kernels[reader.name] for reader in readers]
 
-    @sensing.setter
-    def sensing(self, memory: SensorMemory) -> None:
-        self.sensors.memory = memory
+    def repeat_step(self, name: str, now: int, states: list[State]) -> None:
+        """Publish the results of a kernel's step that is repeated now one latency later; it is down meanwhile."""
+        cost_us = self.latencies.of_kernel(name, now)
+        if cost_us <= 0:
+            return  # a result without latency is published as in the error-free case
+        self.record.recompute_us[self.kernels[name].stage.value] += cost_us
+        self.state.busy[name] = None
+        self.state.down.add(name)
+        self.state.schedule(now + cost_us, EventKind.REPETITION_DONE, name, states)
 
-    def restore(self, memory: LoopMemory) -> None:
-        """Continue from the state `memory`, which remains valid for further restores."""
-        restored = memory.copy()
-        for name in restored.__slots__:
-            setattr(self, name, getattr(restored, name))
+    def _repetition_done(self, now: int, name: str, states: list[State]) -> None:
+        """Publish the results of a repeated step, and take up the kernel's pending input."""
+        flight = self.state
+        kernel = self.kernels[name]
+        flight.down.discard(name)
+        pending_input = flight.busy.pop(name)
+        self.finish(kernel, states, now, self.latencies.of_kernel(name, now))
+        if name in flight.busy:
+            flight.busy[name] = pending_input
+        elif pending_input is not None and kernel.receive(pending_input, now) and name not in PERIODIC:
+            self.start(kernel, now)
 
     # ---- record -----------------------------------------------------------------------------------------------------
     def log(self, status: MissionStatus, rejected_commands: int) -> FlightLog:
@@ -747,14 +724,18 @@ class Loop:
         return FlightLog(np.array(record.rows), status, record.events, injections, record.alarms, meta)
 
 
-_ROUTES: dict[str, Callable[[Loop, State, int], None]] = {
-    "control.command": Loop._command_vehicle,
-    ODOMETRY["estimator"]: Loop._see_estimate,
-    "planning.waypoint": Loop._set_reference,
-    "perception.map_update": Loop._end_mapping,
-    "perception.collision_status": Loop._end_perception,
+HANDLERS: dict[EventKind, Callable[..., None]] = {
+    EventKind.TICK: Loop.tick,
+    EventKind.CAPTURE: Loop.capture,
+    EventKind.SENSE: Loop.sense,
+    EventKind.STEP_DONE: Loop._step_done,
+    EventKind.ARRIVE: Loop._arrive,
+    EventKind.RESEND: lambda loop, now, state: loop.deliver(state, now),
+    EventKind.REPETITION_DONE: Loop._repetition_done,
+    EventKind.RESTART: lambda loop, now, name, policy: loop.restart(now, name, policy),
+    EventKind.CALL: lambda _, now, function: function(now),
 }
-"""What the loop itself does with a published state, after the kernels that read it."""
+"""What handles an event of each kind; arguments: loop, instant (us), and those of the event."""
 
 
 # ---- observers ------------------------------------------------------------------------------------------------------

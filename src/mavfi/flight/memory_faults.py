@@ -65,7 +65,7 @@ def memory_of(loop: Loop, target: str, detector: Detector | None = None, role: s
     if role:
         return _memory_of_plug_in(loop, role, detector)
     if target not in WATCHING:
-        if target in loop.down:
+        if target in loop.state.down:
             return None
         return cast("Remembers | None", loop.kernels.get(target))
     if loop.taps.detector is None:
@@ -85,7 +85,7 @@ def _memory_of_plug_in(loop: Loop, role: str, detector: Detector | None) -> Reme
     if role == "flight_controller":
         return ArrayMemory(OpaqueKeeper(cast("Simulator", loop.plant).controller))
     kernel = PLUG_INS[role].kernel
-    if kernel in loop.down:
+    if kernel in loop.state.down:
         return None
     holder = cast(Remembers, loop.kernels[kernel])
     if role in REPLACEABLE:
@@ -171,10 +171,8 @@ class MemoryInjector(Injector):
         if fault.change is not None:
             when = fault.change.when
         self._schedule = schedule_of(when, time_us, fault.seed)
-        action = f"memory fault {len(self._loop.actions)}"  # there may be several in a flight
-        self._loop.actions[action] = self._inject
         for instant in instants:
-            self._loop.at(instant, action)
+            self._loop.call_at(instant, self._inject)
 
     def _inject(self, now: int) -> None:
         """Change the word, if it exists, and guard the kernel or detector from now on."""

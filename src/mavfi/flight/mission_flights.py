@@ -20,23 +20,13 @@ from mavfi.flight.checkpoints import can_save_detector
 from mavfi.flight.combined_forks import fly_serially, forks_serially
 from mavfi.flight.compose import new_loop, resolve, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.fast_forward import (
-    FastForward,
-    FlownArm,
-    PublicationFault,
-    check_prefix,
-    fly_until,
-    takes_part,
-)
+from mavfi.flight.fast_forward import FastForward, PublicationFault
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import (
-    InjectedRuns,
-    Published,
-    fly_from_checkpoints,
-    fly_instruction_faults,
-    fly_with_publications,
-)
+from mavfi.flight.from_checkpoints import fly_from_checkpoints
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host, Recorded, one_by_one, require_level
+from mavfi.flight.instruction_cases import InjectedRuns, Published
+from mavfi.flight.known_flights import FlownArm, check_prefix
 from mavfi.flight.loop import Listener
 from mavfi.flight.plant import MakePlant
 from mavfi.flight.targets import Targets
@@ -126,6 +116,12 @@ class LocalFlights(ArmFlights):
             self._forwards.pop(key, None)
             raise
 
+    def _flown_arm(self, arm: str) -> FlownArm:
+        """Detector and recovery of an arm; without a detector, flights of all arms of a scenario are the same."""
+        detector = self._detector(arm)
+        name = arm if detector is not None else ""
+        return FlownArm(name, detector, self._arms[arm].recovery)
+
     def _saves_detector(self, arm: str) -> bool:
         """Whether checkpoints can contain the detector of an arm."""
         if arm not in self._can_save_detector:
@@ -141,23 +137,23 @@ class LocalFlights(ArmFlights):
         checkpoints nothing would start from.
         """
         setup = self._arms[arm]
-        detector = self._detector(arm)
+        flown_arm = self._flown_arm(arm)
         if fault is not None and forks_serially(fault):
             self._require_forks()
-            return fly_serially(setup.scenario, fault, detector, setup.recovery)[0]
+            return fly_serially(setup.scenario, fault, flown_arm.detector, setup.recovery)[0]
         if fault is None:
             # Faults in instructions follow, from take-off if the detector takes part.
-            may_forward = not (self._expects_instruction_faults and takes_part(detector, setup.recovery))
+            may_forward = not (self._expects_instruction_faults and flown_arm.takes_part)
         else:
             may_forward = _starts_at_its_instant(fault)
         if may_forward and isinstance(fault, PublicationFault | None):
             with self._forwarding(arm) as forward:
                 if forward is not None:
-                    return forward.fly(fault, detector, _name_of(arm, detector), setup.recovery)
+                    return forward.fly(fault, flown_arm)
         return fly(
             setup.scenario,
             fault,
-            detector,
+            flown_arm.detector,
             recovery=setup.recovery,
             profile=profile,
             make_plant=self._local_host.make_plant,
@@ -207,7 +203,7 @@ class LocalFlights(ArmFlights):
         with Targets(setup.scenario, detector).instrumented(functions) as table, np.errstate(all="ignore"):
             loop = new_loop(setup.scenario, functions=table)
             watch(loop, detector, setup.recovery)
-            fly_until(loop, lambda: all(function.done for function in functions.values()))
+            loop.fly_until(lambda: all(function.done for function in functions.values()))
         check_prefix(loop, self._golden[arm].log)
 
     # ---- injected runs ----------------------------------------------------------------------------------------------
@@ -264,17 +260,16 @@ class LocalFlights(ArmFlights):
     ) -> InjectedRuns:
         """Fly an arm with each of several faults in instructions, and `arms` as far as they follow from it."""
         setup = self._arms[arm]
-        detector = self._detector(arm)
+        flown_arm = self._flown_arm(arm)
         golden = self._golden.get(arm)
         self._require_forks()
         in_pipeline = not any(fault.in_detector or fault.role for fault in faults)
         # from golden checkpoints, if these contain all that the faults can change
-        if golden is not None and in_pipeline and not takes_part(detector, setup.recovery):
+        if golden is not None and in_pipeline and not flown_arm.takes_part:
             with self._forwarding(arm) as forward:
                 if forward is not None and forward.scratch:
-                    flown_arm = FlownArm(_name_of(arm, detector), detector, setup.recovery)
                     return fly_from_checkpoints(forward, faults, golden, flown_arm, self._watched_arms(arm, arms))
-        return fly_instruction_faults(setup.scenario, faults, detector, golden, setup.recovery)
+        return fly_instruction_faults(setup.scenario, faults, flown_arm.detector, golden, setup.recovery)
 
     def _require_forks(self) -> None:
         """Refuse faults in instructions where the vehicle cannot be forked."""
@@ -289,15 +284,15 @@ class LocalFlights(ArmFlights):
         watched: list[FlownArm] = []
         if self._detector(plain) is not None:
             return watched
+        scenario_key = self._arms[plain].scenario.key()
         for arm in arms:
-            setup = self._arms[arm]
-            detector = self._detector(arm)
-            if detector is None or arm not in self._golden or takes_part(detector, setup.recovery):
+            flown_arm = self._flown_arm(arm)
+            if flown_arm.detector is None or arm not in self._golden or flown_arm.takes_part:
                 continue
-            if is_custom(detector):
+            if is_custom(flown_arm.detector):
                 continue
-            if setup.scenario.key() == self._arms[plain].scenario.key() and self._saves_detector(arm):
-                watched.append(FlownArm(arm, detector, setup.recovery))
+            if self._arms[arm].scenario.key() == scenario_key and self._saves_detector(arm):
+                watched.append(flown_arm)
         return watched
 
 
@@ -315,13 +310,6 @@ def _are_of_mavfi(functions: Mapping[str, Any]) -> bool:
     return functions.keys() <= set(ENTRIES)
 
 
-def _name_of(arm: str, detector: Detector | None) -> str:
-    """Name of an arm in a `FastForward`: without a detector, flights of all arms of a scenario are the same."""
-    if detector is None:
-        return ""
-    return arm
-
-
 def fly_recorded(
     scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, recovery: RecoveryPolicy = INLINE
 ) -> tuple[Flight, list[Published]]:
@@ -333,7 +321,8 @@ def fly_recorded(
     if fault is not None and forks_serially(fault):
         return fly_serially(scenario, fault, detector, recovery, records=True)
     if isinstance(fault, InstructionFault):
-        return fly_with_publications(scenario, fault, detector, recovery)
+        runs = fly_instruction_faults(scenario, [fault], detector, recovery=recovery, records=True)
+        return runs.flights[0], runs.publications[0]
     if fault is not None:
         require_level(LocalHost(), fault.level)
     seen: list[Published] = []

@@ -38,6 +38,7 @@ from mavfi.flight.decide import (
     decide,
     decide_overdue,
 )
+from mavfi.flight.state import EventKind
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.plugins import plugin_failure, reason
 from mavfi.record import CRASHED, LIMITED, SILENCED, AlarmRecord
@@ -133,7 +134,7 @@ class DetectorTap:
     # ---- publications -----------------------------------------------------------------------------------------------
     def __call__(self, state: State, now: int) -> State | None:
         """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
-        awaited = self._loop.awaited.pop(state.spec.name, None)
+        awaited = self._loop.state.awaited.pop(state.spec.name, None)
         self.alarm = None
         self.action = None
 
@@ -219,7 +220,7 @@ class DetectorTap:
         spec = state.spec
         if spec.stage not in PPC_STAGES or self.memory.degraded:
             return False
-        awaited = self._loop.awaited.pop(spec.name, None)
+        awaited = self._loop.state.awaited.pop(spec.name, None)
         self.alarm = None
         self.action = None
         alarm = None
@@ -274,7 +275,7 @@ class DetectorTap:
         assert deadline is not None  # the caller checks it
         if state.spec.name not in deadline.states:
             return
-        planner_is_down = policy.degrades and STATES[PATH].writer in self._loop.down
+        planner_is_down = policy.degrades and STATES[PATH].writer in self._loop.state.down
         waited_s = deadline.overdue(self.memory.path_wait, state, now, planner_is_down=planner_is_down)
         if waited_s is None:
             return
@@ -348,7 +349,7 @@ class DetectorTap:
     def _await_result(self, action: Action, rejected: State | None) -> None:
         """Recognize the next value of the awaited state as the result of an action."""
         if action.awaited:
-            self._loop.awaited[action.awaited] = PendingResult(rejected, len(self._loop.record.alarms) - 1)
+            self._loop.state.awaited[action.awaited] = PendingResult(rejected, len(self._loop.record.alarms) - 1)
 
     def _resend(self, action: Action, now: int) -> None:
         """Retransmit the producer's copy of the value."""
@@ -357,18 +358,20 @@ class DetectorTap:
         if action.withholds:
             self._loop.deliver(producers_copy, now)
         else:
-            self._loop.at(now, "resend", producers_copy)  # consumers first receive the current value
+            self._loop.state.schedule(
+                now, EventKind.RESEND, producers_copy
+            )  # consumers first receive the current value
 
     def _request(self, action: Action, now: int) -> None:
         """Request a recomputation, another way-point or a stop: at once, or with an observer at the next step."""
         loop = self._loop
         if not self._policy.gates:
             if action.kernel:
-                loop.requests[action.kernel] = action
+                loop.state.requests[action.kernel] = action
             return
-        if action.kind is Response.RECOMPUTE and action.withholds and STATES[action.awaited].writer in loop.busy:
+        if action.kind is Response.RECOMPUTE and action.withholds and STATES[action.awaited].writer in loop.state.busy:
             return  # an alarm on another of its states has already requested this recomputation
-        is_only_charged = not action.kernel or (not action.awaited and action.kernel in loop.busy)
+        is_only_charged = not action.kernel or (not action.awaited and action.kernel in loop.state.busy)
         if is_only_charged:
             loop.charge(action, now)
         else:

@@ -7,7 +7,6 @@
   reads back its own last outputs as consumers received them (`Kernel.resume`).
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, cast
 from weakref import proxy
@@ -17,6 +16,7 @@ from mavfi.faults.levels.state_injector import ActedOn
 from mavfi.flight.decide import WAYPOINT
 from mavfi.flight.loop import Loop
 from mavfi.flight.recovery import DetectorTap
+from mavfi.flight.state import EventKind
 from mavfi.flight.taps import Tap
 from mavfi.mission import DeadNode, MissionStatus
 from mavfi.pipeline.kernel import Kernel
@@ -40,11 +40,7 @@ class Restarts:
         self._acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
         self._alarms: dict[str, State] = {}
         loop.taps.recorders.append(self.keep)
-        self._restart_action = (
-            f"restart {policy}"  # a detector may restart nodes under a policy other than the mission's
-        )
-        loop.actions[self._restart_action] = self._restart
-        loop.actions["again"] = self._publish_repeated
+        loop.restart = self.restart  # also for events of others, which have seen the same publications
 
     def keep(self, state: State, now: int) -> None:
         """Note a publication as consumers receive it: what a restarted node receives depends on all of them."""
@@ -63,11 +59,13 @@ class Restarts:
             now: Current instant (us).
             after_us: Down time until the restart (us).
         """
+        loop = self._loop
         if self._policy == "end":
-            self._loop.status = MissionStatus.NODE_DIED
-        elif kernel not in self._loop.down:  # else the restart is scheduled already
-            self._lose(kernel)
-            self._loop.at(now + after_us, self._restart_action, kernel)
+            loop.end(MissionStatus.NODE_DIED)
+        elif kernel not in loop.state.down:  # else the restart is scheduled already
+            loop.take_down(in_node(kernel))
+            # The policy is part of the event: a detector may restart nodes under another one than the mission's.
+            loop.state.schedule(now + after_us, EventKind.RESTART, kernel, self._policy)
 
     def detector_dies(self, detector: Detector, now: int, after_us: int) -> None:
         """Terminate the detector at this instant; publications pass unchecked and the flight continues.
@@ -84,8 +82,7 @@ class Restarts:
         tap = taps.detector
         taps.detector = None
         if self._policy != "end":
-            self._loop.actions["detector back"] = partial(self._detector_returns, detector, tap)
-            self._loop.at(now + after_us, "detector back")
+            self._loop.call_at(now + after_us, partial(self._detector_returns, detector, tap))
 
     def controller_dies(self, now: int, after_us: int) -> None:
         """Terminate the flight controller at this instant: the rotors stop until it is back, with initialized memory.
@@ -97,12 +94,11 @@ class Restarts:
             after_us: Down time (us).
         """
         if self._policy == "end":
-            self._loop.status = MissionStatus.NODE_DIED
+            self._loop.end(MissionStatus.NODE_DIED)
             return
         plant = cast("Simulator", self._loop.plant)  # the plant of all flights with faults in instructions
         plant.stop_controller()
-        self._loop.actions["controller back"] = lambda _: plant.restart_controller()
-        self._loop.at(now + after_us, "controller back")
+        self._loop.call_at(now + after_us, lambda _: plant.restart_controller())
 
     def _detector_returns(self, detector: Detector, tap: Tap | None, now: int) -> None:
         """Initialize a detector, pass it the last publication of each state, and install its tap again."""
@@ -115,87 +111,46 @@ class Restarts:
             if not isinstance(tap, DetectorTap):
                 raise
             tap.give_up(error, now)
-        self._loop.awaited.clear()  # recomputations finished during the down time
+        self._loop.state.awaited.clear()  # recomputations finished during the down time
         self._loop.taps.detector = tap
 
-    def _lose(self, kernel: str) -> None:
-        """Drop all that is in progress in the node of a kernel."""
-        loop = self._loop
-        names = in_node(kernel)
-        loop.down.update(names)
-        for name in names:
-            loop.busy[name] = None
-            loop.requests.pop(name, None)
-        for state in list(loop.awaited):
-            if STATES[state].writer in names:
-                del loop.awaited[state]  # the recomputation died with the node: its next publication is checked
-
-    # ---- repetition of the step -------------------------------------------------------------------------------------
-    def recompute(self, name: str, now: int, states: Sequence[State]) -> None:
-        """Publish the results of a kernel's repeated step one latency later, under any policy."""
-        loop = self._loop
-        cost_us = loop.latencies.of_kernel(name, now)
-        if cost_us <= 0:
-            return  # a result without latency is published as in the error-free case
-        loop.record.recompute_us[loop.kernels[name].stage.value] += cost_us
-        loop.busy[name] = None
-        loop.down.add(name)
-        loop.at(now + cost_us, "again", name, list(states))
-
-    def _publish_repeated(self, now: int, name: str, states: list[State]) -> None:
-        """Publish the results of a repeated step, and take up the kernel's pending input."""
-        loop = self._loop
-        loop.down.discard(name)
-        waiting = loop.busy.pop(name)
-        loop.finish(loop.kernels[name], states, now, loop.latencies.of_kernel(name, now))
-        if name in loop.busy:
-            loop.busy[name] = waiting
-        elif waiting is not None and loop.kernels[name].receive(waiting, now) and name not in PERIODIC:
-            loop.start(loop.kernels[name], now)
-
     # ---- restart ----------------------------------------------------------------------------------------------------
-    def _restart(self, now: int, kernel: str) -> None:
+    def restart(self, now: int, kernel: str, policy: DeadNode) -> None:
         """Start the node of a kernel again, with initialized memory."""
-        loop = self._loop
-        names = in_node(kernel)
-        new_kernels = loop.renew(kernel)
+        new_kernels = self._loop.renew(kernel)
         if not new_kernels:
             return  # the node never returns
-        for name in names:
-            loop.kernels[name] = new_kernels[name]
-            loop.down.discard(name)
-            loop.busy.pop(name, None)
-        # all kernels of the node are in place before one of them publishes to another
-        for state, readers in loop.readers.items():
-            loop.readers[state] = [loop.kernels[reader.name] for reader in readers]
-        for name in names:
-            self._resume(loop.kernels[name], now)
+        # All kernels of the node are in place before one of them publishes to another.
+        of_node = [new_kernels[name] for name in in_node(kernel)]
+        self._loop.bring_back(of_node)
+        for restarted in of_node:
+            self._resume(restarted, now, policy)
 
-    def _resume(self, kernel: Kernel, now: int) -> None:
+    def _resume(self, kernel: Kernel, now: int, policy: DeadNode) -> None:
         """Pass a restarted kernel the messages that its policy provides, and start a step that they make due."""
         read_back: tuple[str, ...] = ()
-        if self._policy == "readback":
+        if policy == "readback":
             read_back = kernel.resume(self._latest, now)
         is_due = False
         node = in_node(kernel.name)
         for name in kernel.reads:
             if STATES[name].writer in node or name in read_back:
                 continue  # own outputs and node-internal states: replaying them would execute an outdated path
-            for state in self._messages(name):
+            for state in self._messages(name, policy):
                 is_due = kernel.receive(state, now) or is_due
         if self._loop.marks:
             kernel.mark()  # a recomputation of the current step must not undo the retransmitted inputs
         if is_due and kernel.name not in PERIODIC:
             self._loop.start(kernel, now)
 
-    def _messages(self, name: str) -> list[State]:
+    def _messages(self, name: str, policy: DeadNode) -> list[State]:
         """Messages of a state that a restarted node receives."""
         if name == CHANGES:
             return self._updates
         messages = []
         latest = self._latest.get(name)
         alarm = self._alarms.get(name)
-        if self._policy == "readback" and alarm is not None and alarm is not latest and self._is_unanswered(alarm):
+        if policy == "readback" and alarm is not None and alarm is not latest and self._is_unanswered(alarm):
             messages.append(alarm)
         if latest is not None:
             messages.append(latest)

@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from mavfi.flight.host import ArmSetup, Flight, MissionFlights
     from mavfi.flight.memory_faults import MemoryInjector
 
-_ACTION = "exposure"
-"""Name of the action that looks at the memory, in the loop of a flight."""
 MemorySite = tuple[str, str]
 """A kernel, a detector or recovery, and a name of its words (see `Words.named`)."""
 
@@ -255,12 +253,11 @@ def fly_exposed(setup: "ArmSetup", exposures: Sequence[Exposure], time_us: int |
             exposure.observe(remembered, now)
 
     # Look at the memory of all targets at these instants, before the steps.
-    loop.actions[_ACTION] = look
     instants: Sequence[int] = range(0, loop.judge.limit_us, CONTROL_PERIOD_US)
     if time_us is not None:
         instants = (time_us,)
     for instant in instants:
-        loop.at(instant, _ACTION)
+        loop.call_at(instant, look)
     return loop.fly()
 
 

@@ -102,9 +102,10 @@ def _body_of(dispatcher: Any) -> _Body:
     """The body, made again if a value in its surroundings has been replaced."""
     function = dispatcher.py_func
     values = _surroundings(function)
-    known = _bodies.get(dispatcher)
-    if known is not None and _same_objects(known.values, values):
-        return known
+    previous = _bodies.get(dispatcher)
+    if previous is not None and previous.values.keys() == values.keys():
+        if all(values[name] is value for name, value in previous.values.items()):
+            return previous
     content = _Content()
     content.text(type(dispatcher).__name__, sorted(dispatcher.targetoptions.items()), sorted(dispatcher.locals.items()))
     content.code(function.__code__, function.__doc__)
@@ -116,10 +117,6 @@ def _body_of(dispatcher: Any) -> _Body:
     body = _Body(values, content.digest.digest(), tuple(content.callees))
     _bodies[dispatcher] = body
     return body
-
-
-def _same_objects(before: dict[str, Any], now: dict[str, Any]) -> bool:
-    return before.keys() == now.keys() and all(now[name] is value for name, value in before.items())
 
 
 def _surroundings(function: Any) -> dict[str, Any]:

@@ -62,15 +62,17 @@ def _cache_root() -> Path:
 
     Cached code is executed, so a folder writable by other users is not used.
     """
-    given = os.environ.get("XDG_CACHE_HOME")
+    configured = os.environ.get("XDG_CACHE_HOME")
+    if configured:
+        return Path(configured) / "mavfi"
     with contextlib.suppress(RuntimeError):  # neither HOME nor an entry in the user database
-        return (Path(given) if given else Path.home() / ".cache") / "mavfi"
-    own = Path(tempfile.gettempdir()) / f"mavfi-{os.getuid()}"
+        return Path.home() / ".cache" / "mavfi"
+    private = Path(tempfile.gettempdir()) / f"mavfi-{os.getuid()}"
     with contextlib.suppress(OSError):
-        own.mkdir(mode=0o700, exist_ok=True)
-        held = own.lstat()
-        if stat.S_ISDIR(held.st_mode) and held.st_uid == os.getuid() and not held.st_mode & 0o022:
-            return own
+        private.mkdir(mode=0o700, exist_ok=True)
+        status = private.lstat()
+        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022:
+            return private
     return Path(os.devnull) / "mavfi"  # cannot be created: no cache
 
 
@@ -263,8 +265,9 @@ def _environment(module: str, constants: list[Any], name: str) -> Any:
 
     Not from one of Numba's own, which would be imported here, nor from one that has been renamed since.
     """
-    found = module if module in sys.modules else __name__
-    return _rebuild_env(found, constants, name)  # type: ignore[no-untyped-call]
+    if module not in sys.modules:
+        module = __name__
+    return _rebuild_env(module, constants, name)  # type: ignore[no-untyped-call]
 
 
 @functools.cache
@@ -272,8 +275,8 @@ def _compiler() -> tuple[object, ...]:
     """What determines machine code, besides the function and the processor."""
     versions = numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:2]
     options = [getattr(numba.config, name) for name in ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK")]
-    own = code_digest(LineTables.__init__, LineTables.compile_extra, KernelDispatcher.get_call_template, _wide)
-    return (*versions, *options, own)
+    pipeline = code_digest(LineTables.__init__, LineTables.compile_extra, KernelDispatcher.get_call_template, _wide)
+    return (*versions, *options, pipeline)
 
 
 def _mark_as_used(file: int) -> None:
@@ -400,7 +403,7 @@ def entry(function: F, *arguments: Any) -> F:  # noqa: ANN401 - examples, of whi
     """
     if not is_compiled(function):
         return function
-    kinds = tuple(given if isinstance(given, types.Type) else _type_of(given) for given in arguments)
+    kinds = tuple(argument if isinstance(argument, types.Type) else _type_of(argument) for argument in arguments)
     return cast(F, cast(Any, function).compile(kinds))
 
 

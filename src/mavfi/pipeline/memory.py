@@ -25,15 +25,16 @@ from mavfi.states import State
 class Memory:
     """Base class of memories; a subclass is a slotted dataclass whose fields are its complete state."""
 
-    __slots__: tuple[str, ...] = ()
+    __slots__ = ()
+    __match_args__: tuple[str, ...] = ()  # of a dataclass: names of all fields, inherited ones too
 
     def copy(self) -> Self:
         """A deep copy."""
-        return type(self)(*(copied(getattr(self, name)) for name in self.__slots__))
+        return type(self)(*(copied(getattr(self, name)) for name in self.__match_args__))
 
     def same(self, other: Self) -> bool:
         """Whether both are bit-identical."""
-        return all(same(getattr(self, name), getattr(other, name)) for name in self.__slots__)
+        return all(same(getattr(self, name), getattr(other, name)) for name in self.__match_args__)
 
 
 def zeros(*shape: int) -> Any:  # noqa: ANN401 - a field of a dataclass
@@ -157,7 +158,7 @@ def _parts(value: Any) -> Iterator[str | bytes]:  # noqa: ANN401
     elif isinstance(value, State):
         yield from (value.spec.name, value.header.tobytes(), value.elements.tobytes())
     elif isinstance(value, Memory):
-        for name in value.__slots__:
+        for name in value.__match_args__:
             yield from _parts(getattr(value, name))
     elif isinstance(value, dict):
         yield str(len(value))

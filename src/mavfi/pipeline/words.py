@@ -101,7 +101,7 @@ def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any
 # ---- enumeration -----------------------------------------------------------------------------------------------------
 def _in_memory(start: str, memory: Memory) -> Iterator[Words]:
     """Words of a memory, whose names begin with `start`."""
-    for name in memory.__slots__:
+    for name in memory.__match_args__:
         if not name.startswith(_MARK):
             yield from _in_value(f"{start}{name}", getattr(memory, name))
 

@@ -52,8 +52,12 @@ class SuccessCell(NamedTuple):
 
 def success(runs: Runs) -> Figure | None:
     """Success by environment and setting, with intervals, counts and the paper's values, for faults of any level."""
-    chosen = _flown(runs)
-    settings = _settings(chosen)
+    # judged golden runs without a detector, and judged runs with faults
+    judged = runs.where("judged")
+    chosen = judged.where(pl.col("setting").is_in([GOLDEN, *judged.injected.values("setting")]))
+    settings = chosen.settings()
+    if len(chosen.where(setting=GOLDEN)):
+        settings = [GOLDEN, *settings]
     if settings in ([], [GOLDEN]):
         return None
     names = population_names(chosen, ("environment", "setting"))
@@ -67,7 +71,10 @@ def success(runs: Runs) -> Figure | None:
         for environment, rate in _rates(chosen, setting, names).items():
             missions = chosen.where(environment=environment, setting=setting)
             link = links.to_runs(in_leading(missions, names), environment=environment, setting=setting)
-            cells.append(SuccessCell(environment, setting, rate, _published(missions), link))
+            published = None
+            if paper.comparable(missions):
+                published = paper.success(environment, setting)
+            cells.append(SuccessCell(environment, setting, rate, published, link))
     conditions = "95 % intervals, n below each"
     if has(chosen, level="instruction"):
         conditions = f"nodes that die are restarted; {conditions}"
@@ -126,7 +133,10 @@ def draw_success(cells: Sequence[SuccessCell], title: str, conditions: str) -> F
     axes.set_ylabel("missions that succeed")
     axes.set_xlabel(conditions, fontsize=8.5, color=style.GREY)
     axes.set_title(title)
-    handles = [_handle(setting, looks[setting], 7) for setting in settings]
+    handles = [
+        Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=7, **looks[setting])
+        for setting in settings
+    ]
     if any(cell.published is not None for cell in cells):
         handles.append(Line2D([], [], color=style.PAPER, linewidth=2.0, label="the paper"))
     labels = [str(handle.get_label()) for handle in handles]
@@ -148,21 +158,6 @@ _LEGEND_LETTER = 0.06
 """Width of a legend's column without its text, and of a letter (inches)."""
 
 
-def _flown(runs: Runs) -> Runs:
-    """Judged golden runs without a detector, and judged runs with faults."""
-    judged = runs.where("judged")
-    settings = [GOLDEN, *judged.injected.values("setting")]
-    return judged.where(pl.col("setting").is_in(settings))
-
-
-def _settings(runs: Runs) -> list[str]:
-    """Settings in order: golden, faults without a detector, arms."""
-    injected = runs.settings()
-    if len(runs.where(setting=GOLDEN)):
-        return [GOLDEN, *injected]
-    return injected
-
-
 def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
     """Success rates by environment, without undefined ones."""
     rates = {}
@@ -171,18 +166,6 @@ def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
         if rate is not None and rate.rate is not None:
             rates[environment] = rate
     return rates
-
-
-def _published(missions: Runs) -> float | None:
-    """The paper's success rate, if it is comparable with these missions of one environment and setting."""
-    if not paper.comparable(missions):
-        return None
-    return paper.success(missions.first("environment"), missions.first("setting"))
-
-
-def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
-    """Legend entry of a setting."""
-    return Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=size, **look)
 
 
 def _point(axes: Axes, x: float, cell: SuccessCell, look: Mapping[str, Any]) -> None:

@@ -244,8 +244,10 @@ def _fault(injection: Injection, fault: Fault | None, log: FlightLog) -> str:
         return f"{injection.site}: not activated, {reason}"
     if injection.bit is None:
         what = corruption(injection) or injection.details.get("model", "empty mask")
+    elif fault is None or not fault.bit_class:
+        what = f"bit {injection.bit}"
     else:
-        what = _bit(injection.bit, fault)
+        what = f"bit {injection.bit} ({fault.bit_class.replace('_', ' ')})"
     text = f"{injection.site}, {what}, at {injection.time_s:.3f} s: {outcome(injection)}"
     count = injection.details.get("publications", 1)
     if "operation" in injection.details and injection.before is not None and count > 1:
@@ -254,13 +256,6 @@ def _fault(injection: Injection, fault: Fault | None, log: FlightLog) -> str:
         if key in injection.details:
             text += f", in {injection.details[key]} {unit}"
     return text
-
-
-def _bit(bit: int, fault: Fault | None) -> str:
-    """Index of a bit, with its class if the fault has one."""
-    if fault is None or not fault.bit_class:
-        return f"bit {bit}"
-    return f"bit {bit} ({fault.bit_class.replace('_', ' ')})"
 
 
 def _kernel(name: str, kernel: KernelEffect, consequence: str) -> str:
@@ -357,7 +352,11 @@ def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MAX_ALARMS
     # single alarms
     selected = sorted((*near, *others)[:most], key=lambda alarm: alarm.time_s)
     for alarm in selected:
-        story.append(("", _alarm(alarm, in_golden=_key(alarm) in golden_alarms)))
+        text = f"{alarm.time_s:.3f} s, {alarm.source}: {', '.join(alarm.fields) or alarm.state or alarm.stage}, "
+        text += f"score {alarm.score:.3g}; {alarm.action} {alarm.stage}: {alarm.outcome}"
+        if _key(alarm) in golden_alarms:
+            text += "; also in the golden run"
+        story.append(("", text))
     if len(log.alarms) > most:
         story.append(("", f"and {len(log.alarms) - most} more (--json has all)"))
     # events after which alarms have no response
@@ -375,15 +374,6 @@ def around(log: FlightLog) -> tuple[list[AlarmRecord], list[AlarmRecord]]:
 
 def _key(alarm: AlarmRecord) -> tuple[str, int]:
     return alarm.state, round(1e6 * alarm.time_s)
-
-
-def _alarm(alarm: AlarmRecord, *, in_golden: bool) -> str:
-    """An alarm with its response, and what became of it."""
-    text = f"{alarm.time_s:.3f} s, {alarm.source}: {', '.join(alarm.fields) or alarm.state or alarm.stage}, "
-    text += f"score {alarm.score:.3g}; {alarm.action} {alarm.stage}: {alarm.outcome}"
-    if in_golden:
-        return f"{text}; also in the golden run"
-    return text
 
 
 def end_of(log: FlightLog) -> str:
@@ -412,9 +402,18 @@ def to_json(explanation: Explanation) -> dict[str, Any]:
     kernel = None
     if log.kernel is not None:
         kernel = asdict(log.kernel)
+    first = explanation.first
     first_difference = None
-    if explanation.first is not None:
-        first_difference = _difference_json(explanation.first)
+    if first is not None:
+        first_difference = {
+            "time_s": 1e-6 * first.time_us,
+            "state": first.state,
+            "field": first.field,
+            "golden_time_s": _seconds(first.golden_us),
+            "injected_time_s": _seconds(first.injected_us),
+            "golden": first.golden,
+            "injected": first.injected,
+        }
     return {
         "run_id": spec.run_id,
         "setting": spec.setting,
@@ -443,19 +442,6 @@ def to_json(explanation: Explanation) -> dict[str, Any]:
             "status": golden.status.label,
             "flight_time_s": _duration(golden),
         },
-    }
-
-
-def _difference_json(first: FirstDifference) -> dict[str, Any]:
-    """The first difference as plain data."""
-    return {
-        "time_s": 1e-6 * first.time_us,
-        "state": first.state,
-        "field": first.field,
-        "golden_time_s": _seconds(first.golden_us),
-        "injected_time_s": _seconds(first.injected_us),
-        "golden": first.golden,
-        "injected": first.injected,
     }
 
 

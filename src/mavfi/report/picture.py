@@ -90,7 +90,9 @@ def flight_figure(
         lower, upper = _limits(flight.world, courses)
         # the legend's height decides on the layout, so all labels come first
         marks = [*_alarm_marks(recovered or flight), *_marks(flight)]
-        rows = _legend_rows([*(course.label for course in courses), *(mark.label for mark in marks)])
+        labels = [drawn.label for drawn in (*courses, *marks)] + ["obstacle", "occupied in the map"]
+        length = sum(_HANDLE + _LETTER * len(label) for label in labels)
+        rows = 1 if length < _WIDTH - 0.8 else 2
         figure, views = _axes(lower, upper, rows)
         # obstacles, the planner's map, paths and markers, from below to above
         _draw_world(views, flight.world, positions(flight))
@@ -98,7 +100,11 @@ def flight_figure(
         for axes, index in views:
             for course in courses:
                 axes.plot(course.points[:, 0], course.points[:, index], **course.look)
-        handles = [*map(_line, courses), *_draw_marks(figure, views, marks)]
+        handles = []
+        for course in courses:
+            look = {key: course.look[key] for key in ("color", "linewidth", "linestyle") if key in course.look}
+            handles.append(Line2D([], [], label=course.label, **look))
+        handles += _draw_marks(figure, views, marks)
         _label(figure, views, flight, _endings(courses, [golden, flight, recovered]))
         _legend(figure, handles, rows, flight.world, has_map=has_map)
         for axes, index in views:
@@ -147,14 +153,6 @@ def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray
         upper = np.minimum(high + _SCAN_MARGIN, world.arena_upper)
         return lower, upper
     return np.minimum(world.arena_lower, low - _MARGIN), np.maximum(world.arena_upper, high + _MARGIN)
-
-
-def _legend_rows(labels: list[str]) -> int:
-    """Number of rows of the legend (one or two), from the lengths of the labels."""
-    inches = sum(_HANDLE + _LETTER * len(label) for label in (*labels, "obstacle", "occupied in the map"))
-    if inches < _WIDTH - 0.8:
-        return 1
-    return 2
 
 
 def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Views]:
@@ -363,21 +361,12 @@ def _fault(injection: Injection) -> str:
 
 def _endings(courses: list[_Drawn], flights: list[Flight | None]) -> str:
     """How each flight ended, by its label in the legend."""
-    shown = zip(courses, (flight for flight in flights if flight is not None), strict=True)
-    return " · ".join(f"{course.label}: {_ending(flight)}" for course, flight in shown)
-
-
-def _ending(flight: Flight) -> str:
-    """How and when a flight ended."""
-    status = flight.log.status
-    ending = "goal" if status is MissionStatus.SUCCESS else status.words
-    return f"{ending} at {flight.log.column('time')[-1]:.1f} s"
-
-
-def _line(course: _Drawn) -> Line2D:
-    """Legend entry of a path."""
-    look = {key: course.look[key] for key in ("color", "linewidth", "linestyle") if key in course.look}
-    return Line2D([], [], label=course.label, **look)
+    endings = []
+    for course, flight in zip(courses, (flight for flight in flights if flight is not None), strict=True):
+        status = flight.log.status
+        ending = "goal" if status is MissionStatus.SUCCESS else status.words
+        endings.append(f"{course.label}: {ending} at {flight.log.column('time')[-1]:.1f} s")
+    return " · ".join(endings)
 
 
 def _legend(figure: Figure, handles: list[Any], rows: int, world: World, *, has_map: bool) -> None:

@@ -154,14 +154,14 @@ class LineEnd(NamedTuple):
     colour: str
 
 
-def name_lines(axes: Axes, ends: Sequence[LineEnd], size: float = 8.5) -> None:
+def name_lines(axes: Axes, ends: Sequence[LineEnd]) -> None:
     """Name lines to the right of the axes, each with a thin leader to its end; names keep a distance.
 
     Args:
         axes: With its final limits.
         ends: The lines.
-        size: Of the names (pt).
     """
+    size = 8.5  # of the names (pt)
     low, high = axes.get_ylim()
     height_in = 0.8 * axes.figure.get_figheight()  # type: ignore[union-attr] # about that of the axes
     gap = (high - low) * 1.3 * size / (72.0 * height_in)
@@ -200,10 +200,10 @@ def name_lines(axes: Axes, ends: Sequence[LineEnd], size: float = 8.5) -> None:
         )
 
 
-def write(figure: Figure, path: Path) -> Path:
+def write(figure: Figure, path: Path, dots_per_inch: float = DOTS_PER_INCH) -> Path:
     """Write a figure in the format given by the file extension; `BadInputError` if the file cannot be written."""
     with writing(path):
-        figure.savefig(path, dpi=DOTS_PER_INCH)
+        figure.savefig(path, dpi=dots_per_inch)
     return path
 
 
@@ -267,11 +267,7 @@ def write_talk_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
 
 
 def _write_as(figure: Figure, directory: Path, name: str, endings: Sequence[str], dots_per_inch: float) -> list[Path]:
-    paths = [directory / f"{name}{ending}" for ending in endings]
-    for path in paths:
-        with writing(path):
-            figure.savefig(path, dpi=dots_per_inch)
-    return paths
+    return [write(figure, directory / f"{name}{ending}", dots_per_inch) for ending in endings]
 
 
 def fit_to_column(figure: Figure) -> None:

@@ -12,7 +12,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.statistics import EventRate, Rate
+from mavfi.analysis.statistics import Rate
 from mavfi.analysis.table import (
     DIFFERENCE,
     ESTIMATE,
@@ -35,18 +35,6 @@ from mavfi.report.numbers import percent as percent
 from mavfi.report.numbers import signed_percent
 
 
-def _small_percent(share: float) -> str:
-    """A share as per cent with three significant digits."""
-    return f"{100 * share:.3g} %"
-
-
-def _interval(rate: Rate) -> str:
-    """The interval of a rate or of a test in brackets; empty if it has none."""
-    if rate.low is None or rate.high is None:
-        return ""
-    return f"[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
-
-
 def _p(test: Any) -> str:
     """The p value of a test, to be appended; empty if it has none."""
     if test.p_value is None:
@@ -64,7 +52,7 @@ def rate(value: Rate | float | None) -> str:
     if value is None or value.rate is None:
         return ABSENT
     count = f"n={value.n}" if value.successes is None else f"{value.successes}/{value.n}"
-    return f"{100 * value.rate:.1f} {_interval(value)} {count}"
+    return f"{100 * value.rate:.1f} {value.interval} {count}"
 
 
 def number(value: float | None, digits: int = 1) -> str:
@@ -72,12 +60,6 @@ def number(value: float | None, digits: int = 1) -> str:
     if value is None:
         return ABSENT
     return f"{value:.{digits}f}"
-
-
-def _per_hour(alarms: EventRate) -> str:
-    if alarms.per_hour is None:
-        return ABSENT
-    return f"{alarms.per_hour:.1f} [{alarms.low:.1f}, {alarms.high:.1f}]"
 
 
 def _difference(rate: Rate) -> str:
@@ -91,26 +73,19 @@ def _difference(rate: Rate) -> str:
     return f"{text} [{low}, {high}]"
 
 
-def _published_or_measured(share: Rate | float) -> str:
-    """A share as per cent, without its interval."""
-    if isinstance(share, Rate):
-        return percent(share.rate)
-    return percent(share)
-
-
 FORMS: dict[str, Callable[[Any], str]] = {
     RATE: rate,
-    PERCENT: _published_or_measured,
-    "percent with interval": lambda rate: f"{percent(rate.rate)} {_interval(rate)}",
-    POINTS: lambda rate: f"{100 * (rate.rate or 0.0):+z.1f} {_interval(rate)}",
+    PERCENT: lambda share: percent(share.rate if isinstance(share, Rate) else share),  # measured, or published
+    "percent with interval": lambda rate: f"{percent(rate.rate)} {rate.interval}",
+    POINTS: lambda rate: f"{100 * (rate.rate or 0.0):+z.1f} {rate.interval}",
     DIFFERENCE: _difference,
-    POINTS_TEST: lambda test: f"{100 * test.rate:+z.1f} {_interval(test)}{_p(test)}",
-    PERCENT_TEST: lambda test: f"{percent(test.rate)} {_interval(test)}{_p(test)}",
+    POINTS_TEST: lambda test: f"{100 * test.rate:+z.1f} {test.interval}{_p(test)}",
+    PERCENT_TEST: lambda test: f"{percent(test.rate)} {test.interval}{_p(test)}",
     TIMES_TEST: lambda test: f"{test.rate:.2f}× [{test.low:.2f}, {test.high:.2f}]{_p(test)}",
     SIGNED: signed_percent,
     "signed points": lambda share: f"{100 * share:+z.1f}",
-    SMALL: _small_percent,
-    PER_HOUR: _per_hour,
+    SMALL: lambda share: f"{100 * share:.3g} %",
+    PER_HOUR: lambda alarms: alarms.text or ABSENT,
     ESTIMATE: lambda estimate: f"{estimate.value:.1e} [{estimate.low:.1e}, {estimate.high:.1e}]",
     "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",
 }

@@ -47,7 +47,7 @@ class ImportedVehicle(NamedTuple):
 VehicleReader = Callable[[Path, Mapping[str, Any]], ImportedVehicle]
 """Called with the file, and the keys that the user has set, which go before those of the file."""
 EnvironmentReader = Callable[[Path], EnvironmentConfig | None]
-"""None = the file is none of its format."""
+"""None = the file has another format."""
 
 
 def extensions_of(group: str) -> Iterator[str]:

@@ -75,10 +75,11 @@ DECIDE_BITS = (
     "flight/",
     "extras/bench/",
     "extras/airsim/grounded.py",
+    "extras/shared/",
     "record.py",
     "outcomes.py",
 )
-OUTWARD = ("numerics/frames.py",)
+OUTWARD = ("extras/shared/frames.py",)
 """Frames of other programs: no flight of ours passes through these."""
 
 

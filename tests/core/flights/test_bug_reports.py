@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mavfi.flight.compose import watched
+from mavfi.flight.compose import prepare
 from mavfi.flight.fly import fly
 from mavfi.levels.level import parse
 from mavfi.mission import MissionSpec, MissionStatus
@@ -17,7 +17,7 @@ SPEC = MissionSpec(environment="dense", seed=1, autopilot="published", goal=GOAL
 
 def flown(text, detector=None):
     """The flight with a fault, and the values of its field as consumers receive them, with their instants (s)."""
-    setup = watched(SPEC, detector).setup
+    setup = prepare(SPEC, detector)
     fault, _ = parse(text).draw(setup, 0)
     values = []
 

@@ -13,8 +13,9 @@ from mavfi.faults.levels.state_injector import StateInjector
 from mavfi.flight import checkpoints
 from mavfi.flight.compose import detector_for, new_loop, watch
 from mavfi.flight.fly import fly
-from mavfi.flight.loop import Loop
+from mavfi.flight.loop import HANDLERS, Loop
 from mavfi.flight.recovery import DetectorTap
+from mavfi.flight.state import EventKind, FlightState
 from mavfi.states import STATES
 from tests.core.flights.missions import Scripted, fault, mission
 from tests.night import at_night
@@ -53,12 +54,11 @@ class Stop:
         self.record = record.rows[:], record.events[:], record.alarms[:], record.counts()
         self.injector = None if self.loop.taps.injector is None else self.loop.taps.injector.copy()
         self.detector = self.watching.memory()
-        self.redoing = bool(self.loop.awaited)
+        self.redoing = bool(self.loop.state.awaited)
 
     def resume(self):
         loop, (rows, events, alarms, counts) = self.loop, self.record
         checkpoints.put(loop, self.instant)
-        loop.status = None
         loop.record.rows, loop.record.events, loop.record.alarms = rows[:], events[:], alarms[:]
         loop.record.set_counts(counts)
         loop.taps.injector = None if self.injector is None else self.injector.copy()
@@ -143,6 +143,32 @@ def test_an_instant_is_recognised_and_no_other_is():
     for stop in stops[::4]:
         checkpoints.put(loop, stop.instant)
         assert [checkpoints.is_at(loop, other.instant) for other in stops] == [other is stop for other in stops]
+
+
+@dataclass(slots=True, eq=False)
+class WiderState(FlightState):
+    """The state of a flight with one more field, a list that changes in place."""
+
+    visited: list = field(default_factory=list)
+
+
+def test_a_new_field_of_the_state_is_in_checkpoints_forks_and_comparisons(monkeypatch):
+    monkeypatch.setattr("mavfi.flight.loop.FlightState", WiderState)
+    loop = new_loop(mission(), rewindable=True)
+    loop.state.visited.append("start")
+    instant = checkpoints.take(loop)
+    loop.state.visited.append("door")
+    assert not checkpoints.is_at(loop, instant), "a comparison sees it"
+    for _ in range(2):  # a fork, and another one: neither changes the checkpoint
+        checkpoints.put(loop, instant)
+        assert loop.state.visited == ["start"] and checkpoints.is_at(loop, instant)
+        loop.state.visited.append("window")
+    loop.reset()
+    assert loop.state.visited == [], "another flight begins without it"
+
+
+def test_every_kind_of_event_has_a_handler():
+    assert set(HANDLERS) == set(EventKind)
 
 
 @pytest.mark.parametrize("name", KERNELS)

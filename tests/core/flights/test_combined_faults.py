@@ -12,7 +12,7 @@ from mavfi.faults.fault import FaultSite, MemoryFault, MessageFault, StateFault
 from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.faults.operations import parse_text
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.pipeline.waypoints import SetpointGenerator

@@ -12,6 +12,7 @@ from mavfi.campaign.store import Store
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
+from mavfi.flight.known_flights import FlownArm
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.plugins import allow_typed
@@ -65,7 +66,9 @@ WRONG = fault("control.command", "vx", 8.0, 62)
 @pytest.mark.parametrize("detector", [Brittle, BrittleSeal])
 @pytest.mark.parametrize("make", [FastForward, None])
 def test_an_exception_after_the_injection_disables_it(make, detector):
-    flight = fly(mission(), WRONG, detector()) if make is None else make(mission()).fly(WRONG, detector(), "own")
+    flight = (
+        fly(mission(), WRONG, detector()) if make is None else make(mission()).fly(WRONG, FlownArm("own", detector()))
+    )
     (event,) = (event for event in flight.log.events if event.kind == CRASHED)
     assert event.data == {"how": "ValueError: no such command"}
     if detector is Brittle:  # the seal sees the first command that the fault has changed, not the fault

@@ -10,6 +10,7 @@ from mavfi.flight.compose import with_keys_of
 from mavfi.flight.decide import MAX_UNCHANGED, RecoveryPolicy
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
+from mavfi.flight.known_flights import FlownArm
 from mavfi.flight.loop import stage_latency
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import PPC_STAGES, STATES, Stage, floats
@@ -228,7 +229,7 @@ def test_a_detector_sees_a_fault_on_the_way_at_the_consumer_only(place, alarmed)
     for arm, detector in (("", None), ("leap", Leap())):  # as in campaigns, in which arms share flights
         for state, field, bit in (("control.command", "vx", 62), ("planning.waypoint", "y", 61)):
             injected = fault(state, field, 4.0, bit)
-            log = forward.fly(injected, detector, arm, recovery).log
+            log = forward.fly(injected, FlownArm(arm, detector, recovery)).log
             assert log.digest() == fly(mission(), injected, detector, recovery=recovery).log.digest()
             at = pytest.approx(log.injections[0].time_s, abs=1e-6)
             seen += [alarm.state for alarm in log.alarms if alarm.time_s == at]

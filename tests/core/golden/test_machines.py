@@ -24,7 +24,7 @@ from mavfi.extras.airsim.host import run_program
 from mavfi.levels.instruction import draw_instruction_faults
 from mavfi.campaign.store import Store
 from mavfi.levels.instruction import InstructionRequest
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 

@@ -1,5 +1,6 @@
 import itertools
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -160,17 +161,17 @@ def test_worlds_make_intervals_wider_never_narrower(flights):
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
 def test_paired_difference_holds_the_estimate_and_turns_with_the_pairs(pairs):
     first, second = zip(*pairs, strict=True)
-    difference, low, high = paired_difference(first, second, range(len(pairs)))
+    difference, low, high = astuple(paired_difference(first, second, range(len(pairs))))
     assert difference == pytest.approx((sum(first) - sum(second)) / len(pairs))
     assert -1 <= low < difference + 1e-12
     assert difference - 1e-12 < high <= 1
-    turned = paired_difference(second, first, range(len(pairs)))
+    turned = astuple(paired_difference(second, first, range(len(pairs))))
     assert turned == pytest.approx((-difference, -high, -low))
 
 
 def test_no_discordant_pair_leaves_the_doubt_of_so_many_pairs():
     bound = 1 - wilson(30, 30).low
-    assert paired_difference([True] * 30, [True] * 30, range(30)) == pytest.approx((0.0, -bound, bound))
+    assert astuple(paired_difference([True] * 30, [True] * 30, range(30))) == pytest.approx((0.0, -bound, bound))
 
 
 def test_paired_difference_covers():
@@ -178,8 +179,8 @@ def test_paired_difference_covers():
     kinds = random.choice(3, p=[0.85, 0.12, 0.03], size=(400, 60))
     inside = 0
     for row in kinds:
-        _, low, high = paired_difference(row != 2, row != 1, range(60))
-        inside += low <= 0.09 <= high
+        difference = paired_difference(row != 2, row != 1, range(60))
+        inside += difference.low <= 0.09 <= difference.high
     assert 0.92 < inside / 400 < 0.995
 
 
@@ -191,21 +192,21 @@ def of_worlds(lost, regained, n=100):
 @pytest.mark.parametrize("regained", [0, 1, 15, 20])
 def test_recovery_that_does_no_harm_is_a_binomial_share(regained):
     found = recovery(of_worlds(20, regained))
-    assert found.loss == pytest.approx(0.2)
-    assert 0 < found.loss_low < 0.2 < found.loss_high
+    assert found.loss.value == pytest.approx(0.2)
+    assert 0 < found.loss.low < 0.2 < found.loss.high
     assert (found.lost, found.regained) == (20, regained)
-    assert found.rate == pytest.approx(regained / 20)
+    assert found.rate.rate == pytest.approx(regained / 20)
     low = beta.ppf(0.025, regained, 21 - regained) if regained else 0.0
     high = beta.ppf(0.975, regained + 1, 20 - regained) if regained < 20 else 1.0
-    assert (found.low, found.high) == pytest.approx((low, high))
-    assert found.high - found.low > 0.1
+    assert (found.rate.low, found.rate.high) == pytest.approx((low, high))
+    assert found.rate.high - found.rate.low > 0.1
 
 
 def test_harm_counts_against_a_method():
     pairs = [*of_worlds(20, 15)[:-5], *((world, True, True, False) for world in range(95, 100))]
     found = recovery(pairs)
-    assert found.rate == pytest.approx(0.5)
-    assert found.low < 0.5 < found.high
+    assert found.rate.rate == pytest.approx(0.5)
+    assert found.rate.low < 0.5 < found.rate.high
     assert (found.lost, found.regained) == (20, 15)
 
 
@@ -213,9 +214,9 @@ def test_harm_counts_against_a_method():
 def test_recovery_is_undefined_while_the_loss_may_be_nothing(failing):
     pairs = [(world, world != 50, world >= failing, True) for world in range(100)]
     found = recovery(pairs)
-    assert found.rate is None
-    assert found.low is None
-    assert found.loss_low <= 0 <= found.loss_high
+    assert found.rate.rate is None
+    assert found.rate.low is None
+    assert found.loss.low <= 0 <= found.loss.high
 
 
 def test_recovery_of_nothing():

@@ -137,7 +137,7 @@ def test_the_worst_that_a_fault_does_comes_first(box):
         ),
         (
             "endless",
-            ("pause",),
+            ("pipe",),
             {"wall_s": 8.0, "seconds": 20.0},  # half of it is time for its start, on a busy machine
             "time is up",
             r"it waited for what is not simulated, or computed, since its call ping at 0.00\d s \(\d+ s of wall-clock "

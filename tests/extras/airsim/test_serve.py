@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from mavfi.flight.log_readers import open_flight_log
+from mavfi.extras.shared.log_readers import open_flight_log
 
 CLIENT = """
 import math

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mavfi.extras.hardening.compiled import compiled
+from mavfi.extras.hardening.compiled import code_of
 from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.observed import functions_of
 from mavfi.extras.hardening.plan import FunctionPlan, signature_text
@@ -10,7 +10,7 @@ from mavfi.extras.hardening.protected import protection_of
 from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.fly import fly
 from mavfi.flight.targets import Targets
-from mavfi.ir.build import name_of
+from mavfi.ir.build import environment_of, load_code, name_of
 from mavfi.ir.module import digest_of
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
@@ -30,6 +30,15 @@ def full_plan(kernel, function, signature):
     )
 
 
+def compiled(function, signature, rewrite):
+    """Machine code of a rewritten function, called as the function is."""
+    source = cached_source(function, signature)
+    module = rewrite(parse_module(source.text, source.kernel))
+    environment = environment_of(function, signature)
+    loaded = load_code(code_of(module), source.wrapper, source.environment, environment)
+    return lambda *args: loaded[1](None, args, None)  # the code lives as long as its engine
+
+
 class ProtectedFunction:
     """A function of which planned signatures run protected code."""
 
@@ -45,7 +54,7 @@ class ProtectedFunction:
             self.code[signature] = self.function
             protection = protection_of(self.plan, name_of(self.function), signature)
             if protection is not None:
-                self.code[signature], _ = compiled(self.function, signature, protection)
+                self.code[signature] = compiled(self.function, signature, protection)
         self.calls += self.code[signature] is not self.function
         return self.code[signature](*args)  # a SystemError would be a false alarm
 

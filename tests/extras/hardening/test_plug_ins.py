@@ -6,7 +6,7 @@ from mavfi.extras.hardening.harden import Target
 from mavfi.extras.hardening.ledger import CorruptionRates
 from mavfi.extras.hardening.observed import observe
 from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan
-from mavfi.extras.hardening.protected import _called, check_plan
+from mavfi.extras.hardening.protected import REWRITER, _called
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from tests.extras.hardening.plans import calls_of_protected_code
@@ -35,6 +35,6 @@ def test_a_protected_planner_flies_as_the_plain_one(scenario):
         time=1.5,
     )
     plan = ProtectionPlan(functions=(planned,))
-    check_plan(plan, "mine.yaml")
+    REWRITER.check(plan, "mine.yaml")
     assert [called.function for called in _called(plan)] == [seen.function]
     assert calls_of_protected_code(scenario, plan, ["Straight"]) == seen.recording.total

@@ -9,7 +9,7 @@ from mavfi.extras.hardening.protected import SOURCE
 from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults

@@ -14,7 +14,7 @@ from mavfi.extras.logs.mapping import FOLDER, LogMapping, choose_mapping
 from mavfi.extras.logs.recording import LogRecording, read_recording
 from mavfi.extras.logs.selection import Wanted, select
 from mavfi.extras.logs.watch import LogWatch
-from mavfi.flight.log_readers import LoggedMessage, RecordLayout
+from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout
 
 
 class SlowOnly(Detector):

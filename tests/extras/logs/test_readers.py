@@ -17,7 +17,7 @@ from mavfi.extras.logs.dataflash import DataFlashReader
 from mavfi.extras.logs.files import write_mcap
 from mavfi.extras.logs.recording import read_recording
 from mavfi.extras.logs.timeline import Message
-from mavfi.flight.log_readers import open_flight_log
+from mavfi.extras.shared.log_readers import open_flight_log
 from tests.extras.logs.conftest import make_log
 from tests.extras.logs.dataflash import definitions, record, text_definitions
 

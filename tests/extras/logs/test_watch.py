@@ -10,7 +10,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.logs.recording import read_recording
 from mavfi.extras.logs.selection import Wanted, select
 from mavfi.extras.logs.watch import Flip, JudgedLog, LogAlarm, LogRates, LogWatch
-from mavfi.flight.log_readers import open_flight_log
+from mavfi.extras.shared.log_readers import open_flight_log
 from tests.night import at_night
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from mavfi.extras.logs.tlog import write_tlog
 from mavfi.extras.logs.ulog import FAULT_TOPIC, write_ulog
-from mavfi.numerics.frames import local
+from mavfi.extras.shared.frames import local
 from mavfi.record import AlarmRecord, Event, Injection
 from tests.extras.logs.conftest import make_log
 

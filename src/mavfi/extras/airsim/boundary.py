@@ -22,11 +22,11 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TextIO
 
-from mavfi.detectors.foreign import Monitor, NamedNumbers, train
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
+from mavfi.extras.shared.foreign import Monitor, NamedNumbers, train
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.levels.sensor.failures import Failure
 from mavfi.faults.levels.sensor.fault import SensorFault

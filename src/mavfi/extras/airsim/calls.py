@@ -10,9 +10,9 @@ import numpy as np
 
 from mavfi.config import checked
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.message.definition import Leaf
+from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics
+from mavfi.extras.shared.message_definition import Leaf
 from mavfi.files import read_file
-from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics
 from mavfi.record import LATEST_S
 
 _LARGEST = 1 << 28

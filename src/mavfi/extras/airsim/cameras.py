@@ -42,8 +42,8 @@ from mavfi.extras.airsim.table import (
     camera_call,
     vehicle_call,
 )
+from mavfi.extras.shared.frames import Triple
 from mavfi.numerics.elementary import atan2, exp, tan
-from mavfi.numerics.frames import Triple
 from mavfi.numerics.rotations import rotation_matrix
 
 # ---- images, computed from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG --------------------

@@ -175,9 +175,9 @@ def serve(  # noqa: PLR0913 - one parameter per option
     if speed != 1.0 and steps:
         raise BadInputError(f"--speed: {speed:g}: allowed: with --clock real, without --in-flight")
     check_file("--save", save, (".jsonl",))
-    from mavfi.cli.progress import compiling
     from mavfi.extras.airsim.boundary import Boundary
     from mavfi.extras.airsim.server import msgpack
+    from mavfi.report.progress import compiling
 
     msgpack()
     planned = _fault_of(fault, fault_seed)
@@ -325,8 +325,8 @@ def run(  # noqa: PLR0913 - one parameter per option
     )
     program.check()
     _note_unused(settings, image)
-    from mavfi.cli.progress import compiling
     from mavfi.extras.airsim.server import msgpack
+    from mavfi.report.progress import compiling
 
     msgpack()
 

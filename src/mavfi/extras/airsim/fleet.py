@@ -8,7 +8,7 @@ import numpy as np
 from mavfi.extras.airsim.frames import flipped
 from mavfi.extras.airsim.grounded import Contact
 from mavfi.extras.airsim.piloted import PilotedVehicle
-from mavfi.numerics.frames import Triple
+from mavfi.extras.shared.frames import Triple
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.vectors import product
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.grounded import times
+from mavfi.extras.shared.frames import Numbers, Triple, geodetic, local
 from mavfi.numerics.elementary import cos, sin
-from mavfi.numerics.frames import Numbers, Triple, geodetic, local
 
 Quaternion = tuple[float, float, float, float]
 """w x y z."""

@@ -27,8 +27,8 @@ from mavfi.extras.airsim.frames import (
 from mavfi.extras.airsim.piloted import TICK_US
 from mavfi.extras.airsim.settings import VehicleSettings
 from mavfi.extras.airsim.table import CALLS, DESTROYED, GROUND, Api, add_readings, call, vehicle_call
+from mavfi.extras.shared.frames import Triple
 from mavfi.mission import Scenario
-from mavfi.numerics.frames import Triple
 from mavfi.numerics.rotations import yaw_of
 from mavfi.sim.environments.world import World
 from mavfi.sim.scene import STEP_US

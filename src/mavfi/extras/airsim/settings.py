@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from mavfi.errors import BadInputError
 from mavfi.extras.airsim.frames import Quaternion, looking
+from mavfi.extras.shared.frames import Triple
 from mavfi.files import read_file
-from mavfi.numerics.frames import Triple
 
 _LARGEST = 1 << 20
 MIN_FIELD_OF_VIEW = 1.0

@@ -14,8 +14,8 @@ from mavfi.extras.airsim.fleet import collide, free_place, nearer
 from mavfi.extras.airsim.frames import Quaternion, flipped
 from mavfi.extras.airsim.piloted import PilotedVehicle
 from mavfi.extras.airsim.settings import AirsimSettings, CaptureSize, VehicleSettings
+from mavfi.extras.shared.frames import Triple
 from mavfi.mission import MissionSpec
-from mavfi.numerics.frames import Triple
 from mavfi.sim.scene import STEP_US
 
 GROUND = "Ground"

@@ -83,11 +83,11 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     shipped = load_bench(bench)
     chosen = _chosen_bench(shipped, scale, scheme, detector, profile)
     selected = select_parts(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
+    user_schemes: Sequence[str] = ()
+    if detector or scheme:
+        user_schemes = tuple(chosen.arms)
     if out is None:
-        names: Sequence[str] = ()
-        if detector or scheme:
-            names = tuple(chosen.arms)
-        out = default_folder(scale, names)
+        out = default_folder(scale, user_schemes)
     check_folder(out)
 
     # Fly, and write the tables; a bench with other schemes than its own is shown beside its own.
@@ -97,7 +97,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         scores_by_arm = flights.scores(workers, models)
     flown = flights.tables(scores_by_arm)
     shown = flown
-    if detector or scheme:
+    if user_schemes:
         shown = {name: flights.beside_others(name, table) for name, table in flown.items()}
     own_command = _command(bench, level or (), part or (), scale, "my_package:MyDetector")
     write_leaderboard(flights, flown, shown, scores_by_arm, own_command)
@@ -106,14 +106,16 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         return
 
     # The verdict comes first: a sentence on each part.
-    user_schemes: Sequence[str] = ()
-    if detector or scheme:
-        user_schemes = tuple(chosen.arms)
     for name, table in shown.items():
         for sentence in sentences(results_of(table), user_schemes):
             console().print(Text(f"{name}: {sentence}"))
         if user_schemes and name in flights.parts and table is flown[name]:
-            console().print(Text(_how_to_compare(bench, name, scale)))
+            command = _command(bench, (), [name], scale)
+            advice = (
+                f"  Compared with nothing yet: `{command}` flies the bench's own schemes on these faults; this command "
+                "then shows them, too."
+            )
+            console().print(Text(advice))
     console().print()
     if everything:
         _show_all(list(shown.values()))
@@ -139,14 +141,6 @@ def _chosen_bench(
     if detectors:
         return with_only(bench, detectors, profile or "paper")
     return bench
-
-
-def _how_to_compare(bench: str, part: str, scale: str) -> str:
-    """What to do for a comparison of a part that has no rows of other schemes on the same faults."""
-    return (
-        f"  Compared with nothing yet: `{_command(bench, (), [part], scale)}` flies the bench's own schemes on these "
-        "faults; this command then shows them, too."
-    )
 
 
 def _show_short(
@@ -211,8 +205,8 @@ def overheads(
     from mavfi.analysis.views import table
     from mavfi.campaign.ledger import stored_campaign
     from mavfi.campaign.store import Store
-    from mavfi.cli.progress import Bar
     from mavfi.extras.paper.overheads import measure, save
+    from mavfi.report.progress import Bar
     from mavfi.report.text import show_table
 
     check_number("--missions", missions, 1, 1000)

@@ -223,14 +223,13 @@ class FieldCodes:
         """The publication measured last was published: it is the reference for the next one."""
         self.measured.status[residual_state.ACCEPTED] = 1
 
-    def measure(self, state: State, slot: int, codes: np.ndarray, *, keep: bool = False) -> int:
-        """Compute the codes of a publication.
+    def record(self, state: State, slot: int, codes: np.ndarray) -> int:
+        """Compute the codes of a publication, which becomes the reference for the next one.
 
         Args:
             state: The publication.
             slot: Index of its state.
             codes: Output, in the range `range_of(slot)`. Shape (n,), int16.
-            keep: Whether to store the publication as the reference for the next one.
 
         Returns:
             The regime, or -1 - regime if a watched number is not finite; -1 for a regime that does not exist.
@@ -238,8 +237,7 @@ class FieldCodes:
         self.read(state, slot)
         fields = slice(*self._ranges[slot])
         codes[fields] = self.measured.codes[fields]
-        if keep:
-            self.accept()
+        self.accept()
         return int(self.measured.status[residual_state.REGIME])
 
     def note(self, state: State) -> None:
@@ -263,6 +261,7 @@ class FieldCodes:
 
 
 _POSITIONS = tuple(ODOMETRY.values())
+"""States that hold position and velocity of the vehicle."""
 _SIZES = np.array([len(watched.residuals) for watched in _WATCHED.values()])
 """Number of residuals of each state."""
 
@@ -294,7 +293,7 @@ class CodeRecorder(Detector):
         if slot is None:
             self._field_codes.note(state)
             return
-        self._regimes.append(self._field_codes.measure(state, slot, self._codes, keep=True))
+        self._regimes.append(self._field_codes.record(state, slot, self._codes))
         self._slots.append(slot)
         first, last = self._field_codes.range_of(slot)
         self._recorded.append(self._codes[first:last].tobytes())
@@ -310,7 +309,7 @@ class Codes(NamedTuple):
 
     Attributes:
         slots: State of each publication. Shape (m,), int8.
-        regimes: Regime of each, see `FieldCodes.measure`. Shape (m,), int8.
+        regimes: Regime of each, see `FieldCodes.record`. Shape (m,), int8.
         codes: Codes of the published states, concatenated. Shape (total,), int16.
     """
 

@@ -17,7 +17,6 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.run import run_campaigns
-from mavfi.cli.progress import Bar
 from mavfi.errors import write_text
 from mavfi.extras.bench.bench import (
     SCORES,
@@ -34,6 +33,7 @@ from mavfi.extras.bench.scores import table as table_of_scores
 from mavfi.files import is_file, make_folder
 from mavfi.report import style
 from mavfi.report.campaign_report import markdown_table
+from mavfi.report.progress import Bar
 from mavfi.report.text import shown
 
 _COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY, style.AMBER, style.INK)
@@ -225,11 +225,6 @@ def beside_published(flown: Table, published: Sequence[Mapping[str, str]], origi
     return replace(flown, rows=[row for row, _ in rows], notes=(note, *flown.notes), behind=behind)
 
 
-def _has_curve(scheme: Scores) -> bool:
-    """Whether there are harmful faults, and any publication scores above 0."""
-    return scheme.area() is not None and bool(len(scheme.golden) or scheme.corrupted.any())
-
-
 def draw_curves(scores_of_schemes: Mapping[str, Scores], path: Path) -> Path:
     """Draw detection of harmful faults against false alarms per hour, one curve per detector.
 
@@ -241,7 +236,12 @@ def draw_curves(scores_of_schemes: Mapping[str, Scores], path: Path) -> Path:
     with style.house_style():
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         axes = figure.subplots()
-        drawn = [(name, scores) for name, scores in scores_of_schemes.items() if _has_curve(scores)]
+        # a curve needs harmful faults, and a publication that scores above 0
+        drawn = [
+            (name, scheme)
+            for name, scheme in scores_of_schemes.items()
+            if scheme.area() is not None and (len(scheme.golden) or scheme.corrupted.any())
+        ]
         ends = []
         for number, (name, scheme) in enumerate(drawn):
             colour = _COLOURS[number % len(_COLOURS)]

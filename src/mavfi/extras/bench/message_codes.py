@@ -68,7 +68,7 @@ class MessageCodes(FieldCodes):
         self.vehicles = VehicleQueue(self.measured)
 
     def instrument(self, made: Mapping[str, Any]) -> None:
-        """Nothing: faults are injected into its functions in missions only."""
+        """See `FieldCodes`; empty, since faults are injected into its functions in missions only."""
 
     def read(self, state: State, slot: int) -> None:
         """Compute the codes of a message of the state with this slot, in `measured`."""
@@ -76,17 +76,17 @@ class MessageCodes(FieldCodes):
         measure_message(floats(state.header, last - first), slot, self.measured)
 
     def note(self, state: State) -> None:
-        """Nothing: no code depends on other states."""
+        """See `FieldCodes`; empty, since codes of messages depend on their own state only."""
 
     def sample(self, states: Sequence[State]) -> Sample:
         """Sample of a recording, as a detector sees it."""
         self.start()
         vectors = np.zeros((len(states), len(self.fields)), np.int16)
-        held = np.zeros(len(self.fields), np.int16)
+        codes = np.zeros(len(self.fields), np.int16)
         slots = np.array([self.slots[state.spec.name] for state in states], np.int64)
         for row, (state, slot) in enumerate(zip(states, slots.tolist(), strict=True)):
-            self.measure(state, slot, held, keep=True)
-            vectors[row] = held
+            self.record(state, slot, codes)
+            vectors[row] = codes
         self.start()
         first = np.zeros(len(states), np.bool_)
         first[np.unique(slots, return_index=True)[1]] = True

@@ -188,11 +188,6 @@ class _ScoreRecorder:
             del self._injectors[number]
 
 
-def scored_arms(campaign: Campaign) -> list[Arm]:
-    """Arms with a detector on the campaign's own mission, independent of their recovery options."""
-    return [arm for arm in resolve_campaign(campaign).arms if arm.detector and set(arm.overrides) <= set(OF_A_DETECTOR)]
-
-
 def unscored(campaigns: Iterable[Campaign], scores_of_arms: Mapping[str, Scores]) -> dict[str, str]:
     """Arms with a detector that have no scores, with the reason."""
     reasons: dict[str, str] = {}
@@ -273,8 +268,12 @@ def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Scorin
             campaign = Campaign.model_validate_json(store.meta(ORDERED), context=STORED)
             specs = [run.spec for run in store.runs(done=True) if run.spec.run_id in lost]
 
-        # those of each mission are added to its task, which another campaign may have begun
-        arms = tuple(scored_arms(campaign))
+        # arms with a detector on the campaign's own mission, independent of their recovery options
+        arms = tuple(
+            arm for arm in resolve_campaign(campaign).arms if arm.detector and set(arm.overrides) <= set(OF_A_DETECTOR)
+        )
+
+        # the faults of each mission are added to its task, which another campaign may have begun
         for environment in campaign.environments:
             for seed in campaign.seeds:
                 mission = campaign.spec(environment, seed)

@@ -13,20 +13,16 @@ import numpy as np
 
 from mavfi.detectors.detector import DIFFERENT, Alarm, Detector
 from mavfi.errors import BadInputError
-from mavfi.numerics.crc import crc32c
+from mavfi.extras.bench.crc import crc32c
 from mavfi.numerics.elementary import log
-from mavfi.states import KERNELS, PPC_STAGES, STATES, State, StateSpec, states_with
+from mavfi.states import KERNELS, PPC_STAGES, STATES, State, states_with
 
 ALL = frozenset(name for name, spec in STATES.items() if spec.stage in PPC_STAGES)
 """States published by kernels."""
 
 
-def _is_large(spec: StateSpec) -> bool:
-    """Whether it carries camera data: some 10 to 100 kB, others some 100 bytes (a trajectory: 10 kB)."""
-    return bool(spec.elements) and spec.stage == "perception"
-
-
-SMALL = frozenset(name for name in ALL if not _is_large(STATES[name]))
+SMALL = frozenset(name for name in ALL if not (STATES[name].elements and STATES[name].stage == "perception"))
+"""Those of some 100 bytes (a trajectory: 10 kB); the others carry camera data of some 10 to 100 kB."""
 
 
 class Sealed(Detector):

@@ -1,6 +1,6 @@
 """Views that compare schemes (detectors with recovery, policies for dead nodes) on the same flights and faults."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import polars as pl
@@ -68,17 +68,14 @@ def _schemes_on(runs: Runs, level: str) -> bool:
 
 
 def _only_the_scheme(runs: Runs) -> int:
+    """Missions, with and without a fault, that fail under the scheme only."""
     pairs = runs.where(pl.col("kind") == PAIR, "golden_success", "success", ~pl.col("dr_success"))
     return len(pairs) + len(runs.golden.where("bare_success", ~pl.col("success")))
 
 
-def _only_it_by_same_value(runs: Runs) -> int:
-    """As `_only_the_scheme`, without pairs in which the flip meets another value: its harm is not the scheme's."""
-    return _only_the_scheme(runs.where((pl.col("kind") != PAIR) | _SAME_VALUE))
-
-
-def _golden(of: Callable[[Runs], object]) -> Callable[[Runs], object]:
-    return lambda runs: of(runs.golden.where(end="flown"))
+def _golden(runs: Runs) -> Runs:
+    """Golden flights."""
+    return runs.golden.where(end="flown")
 
 
 def _lost_by(test: pl.Expr | str, key: str, heading: str, *where: pl.Expr) -> Measure:
@@ -133,7 +130,13 @@ _HARM = (_LOST_UNDER, Measure("newly_lost", "only it lost", NUMBER, _only_the_sc
 _HARM_OF_CALLS = (
     _LOST_UNDER,
     m.count("same_value", "same value injected", pl.col("kind") == PAIR, _SAME_VALUE),
-    Measure("newly_lost", "of these, only it lost", NUMBER, _only_it_by_same_value),
+    # a pair in which the flip meets another value is left out: its harm is not the scheme's
+    Measure(
+        "newly_lost",
+        "of these, only it lost",
+        NUMBER,
+        lambda runs: _only_the_scheme(runs.where((pl.col("kind") != PAIR) | _SAME_VALUE)),
+    ),
     _IN_TIME_AGAIN,
 )
 _DETECTED = _lost_by("dr_detected", "detected", "detected")
@@ -141,9 +144,9 @@ _ALARM_AFTER = Measure(
     "alarm_after", "alarm after", "number .2f s", lambda runs: runs.where(LOST).frame["dr_alarm_after_s"].median()
 )
 _ALARMS = (
-    Measure("per_hour", "false alarms", PER_HOUR, _golden(m.alarm_rate)),
-    Measure("hours", "exposure", "number .2f h", _golden(lambda runs: sum(runs["flight_time_s"]) / 3600)),
-    Measure("recomputed", "recomputation", SMALL, _golden(m.recomputed)),
+    Measure("per_hour", "false alarms", PER_HOUR, lambda runs: m.alarm_rate(_golden(runs))),
+    Measure("hours", "exposure", "number .2f h", lambda runs: sum(_golden(runs)["flight_time_s"]) / 3600),
+    Measure("recomputed", "recomputation", SMALL, lambda runs: m.recomputed(_golden(runs))),
 )
 _LOST_NOTE = (
     "lost: missions that succeed without the fault and fail with it; brought back: of these, those that succeed under "
@@ -165,7 +168,6 @@ _AFTER_NOTE = (
     "alarm after: median time from the fault to the first alarm that the golden flight lacks, in missions that the "
     "fault loses; 0 inline where the corrupted publication itself raises it"
 )
-_MONITORED_NOTE = "of monitored: brought back of those lost to a fault in a field that the paper's detectors monitor"
 _NOTES = (*_NOTES_OF_SCHEMES[:1], _TEST_NOTE, *_NOTES_OF_SCHEMES[1:], _AFTER_NOTE)
 
 
@@ -174,9 +176,18 @@ def _schemes(
     name: str,
     title: str,
     measures: tuple[Measure | m.MeasureFactory, ...],
-    notes: Callable[[Runs], Iterable[str]],
+    notes: Sequence[str | Callable[[Runs], list[str]]],
 ) -> View:
-    """A table with one row per scheme, for faults of one level."""
+    """A table with one row per scheme, for faults of one level; a note may be computed from the runs."""
+
+    def notes_on(runs: Runs) -> Iterable[str]:
+        for note in notes:
+            if isinstance(note, str):
+                yield note
+            else:
+                yield from note(runs)
+        yield ONE_FAULT
+
     return View(
         name,
         title,
@@ -184,85 +195,82 @@ def _schemes(
         measures,
         where=against_base,
         headings=("scheme",),
-        notes=lambda runs: (*notes(runs), ONE_FAULT),
+        notes=notes_on,
         applies=lambda runs: _schemes_on(runs, level),
         by_name=True,
     )
 
 
-CHAPTER = Chapter(
-    110,
+_OF_STATES = _schemes(
+    STATE,
+    "schemes",
+    "Schemes on the same faults in states",
+    (*_COUNTED, _BACK_MONITORED, _P, *_HARM, _DETECTED, _ALARM_AFTER, *_ALARMS),
     (
-        _schemes(
-            STATE,
-            "schemes",
-            "Schemes on the same faults in states",
-            (*_COUNTED, _BACK_MONITORED, _P, *_HARM, _DETECTED, _ALARM_AFTER, *_ALARMS),
-            lambda runs: (
-                *_NOTES,
-                _MONITORED_NOTE,
-                "detected: of the lost ones, alarm on the corrupted publication",
-                *_ranking(runs),
-            ),
-        ),
-        _schemes(
-            MEMORY,
-            "schemes_memory",
-            "Schemes on the same faults in memory",
-            (*_TESTED, *_HARM, _ALARM_AFTER, *_ALARMS),
-            lambda runs: (*_NOTES, *_ranking(runs)),
-        ),
-        _schemes(
-            SENSOR,
-            "schemes_sensor",
-            "Schemes on the same failures of sensors and motors",
-            (*_COUNTED, *_HARM, *_ALARMS),
-            lambda _: (
-                *_NOTES_OF_SCHEMES,
-                "a failure lasts from its instant to the end of the flight: every message then carries what the "
-                "device gave, and its checksum and its copy agree with it",
-            ),
-        ),
-        _schemes(
-            INSTRUCTION,
-            "schemes_instructions",
-            "Schemes on the same faults in instructions",
-            (*_TESTED_CALLS, *_HARM_OF_CALLS, _ALARM_AFTER, *_ALARMS),
-            lambda runs: (
-                *_NOTES,
-                *_ranking(runs),
-                "died / sdc: the kernel died of the fault, or continued with a wrong value",
-                "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
-                "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
-                "faults that meet the same value at the same instant; brought back, p and only it lost count these "
-                "alone, and golden flights. Lost under it counts all",
-            ),
-        ),
-        View(
-            "schemes_by_target",
-            "Schemes, by injected site",
-            ("target", "arm"),
-            (*_COUNTED, *_HARM),
-            where=pairs_only,
-            headings=("site", "scheme"),
-            notes=lambda _: _NOTES_OF_PAIRS,
-            applies=lambda runs: has(runs.injected, setting=FI) and len(runs.settings()) > 1,
-            by_name=True,
-        ),
-        View(
-            "schemes_by_duration",
-            "Schemes, by duration and width of the fault",
-            ("duration", "arm"),
-            (*_COUNTED, m.rate("vehicle_saved", "vehicle saved", _SAVED, _CRASHED), *_HARM),
-            where=by_duration,
-            headings=("fault", "scheme"),
-            notes=lambda _: (
-                *_NOTES_OF_PAIRS,
-                "vehicle saved: of lost missions that end in a collision or beyond the arena, those that "
-                "do not under the scheme: they succeed, or end in the air",
-            ),
-            applies=_has_durations,
-            by_name=True,
-        ),
+        *_NOTES,
+        "of monitored: brought back of those lost to a fault in a field that the paper's detectors monitor",
+        "detected: of the lost ones, alarm on the corrupted publication",
+        _ranking,
     ),
 )
+_OF_MEMORY = _schemes(
+    MEMORY,
+    "schemes_memory",
+    "Schemes on the same faults in memory",
+    (*_TESTED, *_HARM, _ALARM_AFTER, *_ALARMS),
+    (*_NOTES, _ranking),
+)
+_OF_SENSORS = _schemes(
+    SENSOR,
+    "schemes_sensor",
+    "Schemes on the same failures of sensors and motors",
+    (*_COUNTED, *_HARM, *_ALARMS),
+    (
+        *_NOTES_OF_SCHEMES,
+        "a failure lasts from its instant to the end of the flight: every message then carries what the "
+        "device gave, and its checksum and its copy agree with it",
+    ),
+)
+_OF_INSTRUCTIONS = _schemes(
+    INSTRUCTION,
+    "schemes_instructions",
+    "Schemes on the same faults in instructions",
+    (*_TESTED_CALLS, *_HARM_OF_CALLS, _ALARM_AFTER, *_ALARMS),
+    (
+        *_NOTES,
+        _ranking,
+        "died / sdc: the kernel died of the fault, or continued with a wrong value",
+        "a fault names its call and value by number; if a scheme changes the flight, by false alarms or "
+        "latencies (duplicate), that call computes something else, which may be harmless. Same value injected: "
+        "faults that meet the same value at the same instant; brought back, p and only it lost count these "
+        "alone, and golden flights. Lost under it counts all",
+    ),
+)
+_BY_TARGET = View(
+    "schemes_by_target",
+    "Schemes, by injected site",
+    ("target", "arm"),
+    (*_COUNTED, *_HARM),
+    where=pairs_only,
+    headings=("site", "scheme"),
+    notes=lambda _: _NOTES_OF_PAIRS,
+    applies=lambda runs: has(runs.injected, setting=FI) and len(runs.settings()) > 1,
+    by_name=True,
+)
+_BY_DURATION = View(
+    "schemes_by_duration",
+    "Schemes, by duration and width of the fault",
+    ("duration", "arm"),
+    (*_COUNTED, m.rate("vehicle_saved", "vehicle saved", _SAVED, _CRASHED), *_HARM),
+    where=by_duration,
+    headings=("fault", "scheme"),
+    notes=lambda _: (
+        *_NOTES_OF_PAIRS,
+        "vehicle saved: of lost missions that end in a collision or beyond the arena, those that "
+        "do not under the scheme: they succeed, or end in the air",
+    ),
+    applies=_has_durations,
+    by_name=True,
+)
+
+CHAPTER = Chapter(110, (_OF_STATES, _OF_MEMORY, _OF_SENSORS, _OF_INSTRUCTIONS, _BY_TARGET, _BY_DURATION))

@@ -49,8 +49,8 @@ def demo(
 
 def _show_one(number: int) -> None:
     """Fly, tell and draw one fault."""
-    from mavfi.cli.progress import compiling
     from mavfi.extras.demo import faults
+    from mavfi.report.progress import compiling
 
     chosen = faults.demo(number)
     picture = Path(f"demo-{number}.png")
@@ -66,8 +66,8 @@ def _show_one(number: int) -> None:
 
 def _show_all(html: Path | None) -> None:
     """Fly all faults, tell each when it is flown, and write their page if a file is named."""
-    from mavfi.cli.progress import Bar, compiling
     from mavfi.extras.demo import faults
+    from mavfi.report.progress import Bar, compiling
 
     flown = []
     for number, chosen in enumerate(faults.DEMOS, start=1):

@@ -8,10 +8,9 @@ from typing import Any
 
 from PIL import Image
 
-from mavfi.errors import write_text
 from mavfi.extras.demo.faults import FlownDemo, headline
 from mavfi.report.html.flight_page import FlightPage, page_of_result
-from mavfi.report.html.page import render
+from mavfi.report.html.page import write
 
 _TEMPLATES = Path(__file__).parent
 _DOTS_PER_INCH = 90
@@ -69,4 +68,4 @@ def write_demo_page(
         show(len(entries), len(demos))
         entries.append(_entry(flown))
     show(len(entries), len(demos))
-    write_text(path, render("demo.html.j2", _TEMPLATES, headline=headline(demos), entries=entries))
+    write(path, "demo.html.j2", _TEMPLATES, headline=headline(demos), entries=entries)

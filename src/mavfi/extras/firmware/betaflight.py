@@ -19,7 +19,7 @@ import numpy as np
 
 from mavfi.errors import MavfiError
 from mavfi.extras.firmware.process import FIRST_NS, Firmware
-from mavfi.numerics.frames import HOME
+from mavfi.extras.shared.frames import HOME
 from mavfi.sim.engine import GRAVITY
 
 EEPROM = "eeprom.bin"

@@ -8,14 +8,14 @@ slices grow around the values that are worth most.
 
 import heapq
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from mavfi.extras.hardening.duplicate import candidates, is_fork, reads_memory
+from mavfi.extras.hardening.duplicate import candidates, is_address, is_fork
 from mavfi.extras.hardening.plan import ModuleSite
-from mavfi.ir.flow import back_edges
-from mavfi.ir.module import Function, Instruction, Module, is_floating
+from mavfi.ir.flow import back_edges, uses
+from mavfi.ir.module import Instruction, Module, is_floating
 
 _DIVISION_COSTS = {"fdiv": 4.0, "frem": 8.0, "sdiv": 8.0, "udiv": 8.0, "srem": 8.0, "urem": 8.0}
 _ROUNDING = re.compile(r"@(?:llvm\.)?(?:sqrt|floor|ceil|trunc|rint|nearbyint|round|roundeven)f?(?:\.|$)")
@@ -135,25 +135,12 @@ def values_of(module: Module, executions: Mapping[tuple[int, int], float], *, ad
             )
 
         # 3. Their uses.
-        for name, use in _uses_of(function, index, counts, addresses=addresses):
-            values[index[name]].uses.append(use)
+        for name, user, label in uses(function):
+            if name in index and not is_fork(user):
+                compared = addresses and is_address(name, user)
+                use = Use(index.get(str(user.result), OUTSIDE), label, counts.get(label), compared)
+                values[index[name]].uses.append(use)
     return values
-
-
-def _uses_of(
-    function: Function, index: Mapping[str, int], counts: Mapping[str, float | None], *, addresses: bool
-) -> Iterator[tuple[str, Use]]:
-    """Uses of the values with an index, by name."""
-    for block in function.blocks:
-        for instruction in block.all():
-            if is_fork(instruction):
-                continue
-            user = index.get(str(instruction.result), OUTSIDE)
-            operands = instruction.incoming or [(name, block.label) for name in dict.fromkeys(instruction.uses())]
-            for name, label in operands:
-                if name in index:
-                    compared = addresses and reads_memory(instruction) and name in instruction.addresses
-                    yield name, Use(user, label, counts.get(label), compared)
 
 
 def weight_of(instruction: Instruction) -> float:
@@ -189,19 +176,13 @@ def _copies(value: Value, chosen: Set[int]) -> float:
 def _comparisons(value: Value, chosen: Set[int]) -> float:
     """A value is compared where it is made, or where it leaves the set, whichever is executed less often."""
     exits = {use.block: use.executions for use in value.uses if use.compared or use.user not in chosen}
-    if exits:
-        return value.comparison * _least_executed(value, exits.values())
-    return 0.0
-
-
-def _least_executed(value: Value, exits: Iterable[float | None]) -> float:
-    """Executions of a value's comparisons, from those of the blocks in which it leaves the chosen set."""
-    at_exits = 0.0
-    for executions in exits:
-        if executions is None:  # not counted: compared where it is made
-            return value.executions
-        at_exits += executions
-    return min(value.executions, at_exits)
+    if not exits:
+        return 0.0
+    counted = [executions for executions in exits.values() if executions is not None]
+    executions = value.executions
+    if len(counted) == len(exits):  # a block that was not counted is no cheaper place
+        executions = min(executions, sum(counted))
+    return value.comparison * executions
 
 
 # ---- the choice -----------------------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ from mavfi.errors import write_text
 if TYPE_CHECKING:
     from mavfi.analysis.table import Table
     from mavfi.extras.hardening.harden import HardenedFlight
-    from mavfi.extras.hardening.ledger import Losses
 
 HELP_PANEL = "Campaigns"
 _HEADINGS = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed", "sites")
@@ -41,9 +40,9 @@ def harden(
 ) -> None:
     """Choose which instructions to duplicate within a budget of time.
 
-    Those are chosen that remove most silent corruptions per added time, by the faults of a campaign.  Of that the
-    campaign written beside the plan is the proof: fresh missions, plain and protected; its exit code is 3 if protected
-    code has no fewer silent corruptions.
+    Chooses those that remove most silent corruptions per added time, by the faults of a campaign.  The campaign written
+    beside the plan is the proof: fresh missions in plain and in protected code; it exits with code 3 unless protected
+    code has fewer silent corruptions.
 
     Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml[/bold]
 
@@ -75,7 +74,11 @@ def harden(
         return
     out = console()
     out.print(Text(_headline(flights, len(ledger.faults)), style="bold"))
-    out.print(Text(_losses(losses)))
+    saved = (
+        f"Missions that it may save: {losses.lost_silent} of {losses.silent} flights with an SDC were lost; dead "
+        f"kernels, which it does not prevent, lost {losses.lost_dead} of {losses.dead}."
+    )
+    out.print(Text(saved))
     out.print()
     show_table(_table(flights), out)
     if plan is not None:
@@ -99,13 +102,6 @@ def _headline(flights: Sequence["HardenedFlight"], faults: int) -> str:
     return (
         f"Protect {', '.join(protected)}: {percent(added, 2)} more kernel time per flight is expected to remove "
         f"{percent(removed_share(targets))} of the silent corruptions (SDC), by {faults:,} faults."
-    )
-
-
-def _losses(losses: "Losses") -> str:
-    return (
-        f"Missions that it may save: {losses.lost_silent} of {losses.silent} flights with an SDC were lost; dead "
-        f"kernels, which it does not prevent, lost {losses.lost_dead} of {losses.dead}."
     )
 
 

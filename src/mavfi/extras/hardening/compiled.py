@@ -1,4 +1,4 @@
-"""Machine code of a module, plain or protected, as a function of Python, and its time.
+"""Machine code of a module, plain or protected, and its time.
 
 Instructions are a poor guide to time: latency-bound code has free slots for shadows, throughput-bound code has none.
 Variants are timed by the processor's time stamp counter within the machine code, in turn, and compared within rounds,
@@ -9,7 +9,9 @@ same core takes the free slots that shadows need
 
 import ctypes
 import math
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,42 +19,12 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from mavfi.extras.hardening.duplicate import callees
-from mavfi.ir.build import KernelSource, environment_of, load_code, translate
-from mavfi.ir.module import Function, Module
-from mavfi.ir.parser import parse_module
-from mavfi.ir.sources import cached_source
+from mavfi.ir.build import KernelSource, load_code, translate
+from mavfi.ir.module import Module
 
 _NUMBA_PREFIX = "_ZN5numba"
 """Start of the names of Numba's own functions; not inlined, since most compose messages of exceptions, and take long to
 translate."""
-
-
-class Compiled:
-    """A function of one signature; call it with arguments of these types only.
-
-    A protected one that detects a difference raises a SystemError, with arguments as far as it has changed them.
-
-    Args:
-        source: The function.
-        code: Machine code of a variant of its module, see `mavfi.ir.build.translate`.
-        environment: Numba's environment of the function, which the code points to.
-    """
-
-    def __init__(self, source: KernelSource, code: bytes, environment: Any) -> None:
-        self._environment = environment
-        self._engine, self._function = load_code(code, source.wrapper, source.environment, environment)
-
-    def __call__(self, *args: Any) -> Any:
-        """Call it; modifies the arguments as the function does."""
-        return self._function(None, args, None)
-
-    def address(self, name: str) -> int:
-        """Address of a function of the code, named as in the IR."""
-        return int(self._engine.get_function_address(name[1:].strip('"')))
-
-    def word(self, name: str) -> ctypes.c_int64:
-        """A global 64-bit integer of the code."""
-        return ctypes.c_int64.from_address(self._engine.get_global_value_address(name))
 
 
 def text_of(module: Module) -> str:
@@ -60,28 +32,22 @@ def text_of(module: Module) -> str:
     return "\n".join([*module.preamble, *(function.text() for function in module.functions), *module.others, ""])
 
 
-def code_of(module: Module, text: str) -> bytes:
+def code_of(module: Module) -> bytes:
     """Machine code of a module; in protected code, functions that others call are inlined.
 
     Calls with many arguments take time, which pays for a part of the shadows.  After inlining, results of calls are put
     into registers and loops are tested at their end.  Other passes are not run: they might take a shadow for its
     original where both have been compared, or compute both by one instruction.  None is run on plain code.
 
-    Args:
-        module: The module.
-        text: Its IR, see `text_of`, with additions.
     """
-    if not _is_protected(module):
+    text = text_of(module)
+    blocks = (block for function in module.functions for block in function.blocks)
+    if not any(instruction.role for block in blocks for instruction in block.body):
         return translate(text)
     defined = {_llvm_name(function.name) for function in module.functions}
     called = {_llvm_name(name) for function in module.functions for name in callees(function)}
     inlinable = {name for name in defined & called if not name.startswith(_NUMBA_PREFIX)}
     return translate(text, partial(inlined, names=inlinable))
-
-
-def _is_protected(module: Module) -> bool:
-    blocks = (block for function in module.functions for block in function.blocks)
-    return any(instruction.role for block in blocks for instruction in block.body)
 
 
 def _llvm_name(name: str) -> str:
@@ -100,41 +66,6 @@ def inlined(module: Any, machine: Any, names: Collection[str]) -> Any:
     passes.add_loop_rotate_pass()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
     return module
-
-
-def compiled(
-    function: Any, signature: tuple[Any, ...], rewrite: Callable[[Module], Module] | None = None
-) -> tuple[Compiled, int]:
-    """Machine code of a function for any x86-64 processor, and the address at which it starts.
-
-    Args:
-        function: Compiled by `kernel_jit`.
-        signature: Numba types of its arguments.
-        rewrite: Its protection; None = plain code.
-
-    Raises:
-        BadInputError: The protection was made for other code.
-    """
-    source = cached_source(function, signature)
-    module = parse_module(source.text, source.kernel)
-    if rewrite is not None:
-        module = rewrite(module)
-    code = Compiled(source, code_of(module, text_of(module)), environment_of(function, signature))
-    return code, code.address(main_function(module, source.wrapper).name)
-
-
-def main_function(module: Module, wrapper: str) -> Function:
-    """The function that a wrapper calls.
-
-    Raises:
-        ValueError: It calls none of the module's functions.
-    """
-    for text in module.others:
-        if wrapper in text.split("\n", 1)[0]:
-            for function in module.functions:
-                if f"{function.name} (" in text or f"{function.name}(" in text:
-                    return function
-    raise ValueError(f"{wrapper}: calls no function of its module")
 
 
 # ---- arguments ------------------------------------------------------------------------------------------------------
@@ -206,44 +137,43 @@ class Timing(NamedTuple):
     ticks: float
 
 
-class Timed(Compiled):
-    """Machine code of a function, run many times within one call from Python.
+class Timed:
+    """Machine code of a variant of a function, run many times within one call from Python.
 
     Args:
-        source, environment: See `Compiled`.
-        code: As of `code_of`.
+        source: The function.
+        module: A variant of its module.
+        environment: Numba's environment of the function, which the code points to.
     """
 
-    def __init__(self, source: KernelSource, code: bytes, environment: Any) -> None:
-        super().__init__(source, code, environment)
-        self._repetitions = self.word(_REPETITIONS)
-        self._ticks = self.word(_TICKS)
+    def __init__(self, source: KernelSource, module: Module, environment: Any) -> None:
+        self._environment = environment  # lives as long as the code
+        code = code_of(with_loop(module, source.wrapper))
+        self._engine, self._function = load_code(code, source.wrapper, source.environment, environment)
+        self._repetitions = self._global(_REPETITIONS)
+        self._ticks = self._global(_TICKS)
 
-    @staticmethod
-    def code_of(source: KernelSource, module: Module) -> bytes:
-        """Machine code of a variant of a function's module, with its loop."""
-        return code_of(module, looping(text_of(module), source.wrapper, main_function(module, source.wrapper)))
+    def _global(self, name: str) -> ctypes.c_int64:
+        return ctypes.c_int64.from_address(self._engine.get_global_value_address(name))
 
     def ticks(self, args: tuple[Any, ...], repetitions: int) -> float:
         """Ticks per repetition of a call; modifies the arguments as so many calls do."""
         self._repetitions.value = repetitions
-        self(*args)
+        self._function(None, args, None)
         return self._ticks.value / repetitions
 
 
-def looping(text: str, wrapper: str, main: Function) -> str:
-    """IR in which the wrapper calls a function in a loop, and stores the ticks of the time stamp counter."""
-    name = main.name
-    # The wrapper calls the loop instead of the function.
-    parts = text.split("\ndefine ")
-    for number, part in enumerate(parts):
-        if wrapper in part.split("\n", 1)[0]:
-            parts[number] = part.replace(f"{name} (", "@mavfi_loop (").replace(f"{name}(", "@mavfi_loop(")
-    # The loop reads the counter outside of it, so that short calls are timed as well.
-    typed = ", ".join(f"{kind} {parameter}" for kind, parameter in main.parameters)
-    return (
-        "\ndefine ".join(parts)
-        + f"""
+def with_loop(module: Module, wrapper: str) -> Module:
+    """A module whose wrapper calls the kernel in a loop, and stores the ticks of the time stamp counter."""
+    # The wrapper is outside the fault space, and so is text. It calls the loop instead of the kernel.
+    others = list(module.others)
+    number = next(number for number, text in enumerate(others) if wrapper in text.split("\n", 1)[0])
+    kernel = next(f for f in module.functions if re.search(rf"{re.escape(f.name)} ?\(", others[number]))
+    others[number] = re.sub(rf"{re.escape(kernel.name)} ?\(", "@mavfi_loop(", others[number])
+
+    # The counter is read outside the loop, so that short calls are timed as well.
+    typed = ", ".join(f"{kind} {parameter}" for kind, parameter in kernel.parameters)
+    loop = f"""
 @{_REPETITIONS} = global i64 1
 @{_TICKS} = global i64 0
 declare i64 @llvm.readcyclecounter()
@@ -254,7 +184,7 @@ mavfi.entry:
   br label %mavfi.loop
 mavfi.loop:
   %mavfi.i = phi i64 [ 0, %mavfi.entry ], [ %mavfi.next, %mavfi.loop ]
-  %mavfi.status = call i32 {name}({typed})
+  %mavfi.status = call i32 {kernel.name}({typed})
   %mavfi.next = add i64 %mavfi.i, 1
   %mavfi.more = icmp ult i64 %mavfi.next, %mavfi.n
   br i1 %mavfi.more, label %mavfi.loop, label %mavfi.done
@@ -265,7 +195,7 @@ mavfi.done:
   ret i32 %mavfi.status
 }}
 """
-    )
+    return replace(module, others=[*others, loop])
 
 
 Clock = Callable[[tuple[Any, ...], int], float]

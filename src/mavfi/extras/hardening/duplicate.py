@@ -18,7 +18,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from mavfi.extras.hardening.plan import ModuleSite
-from mavfi.ir.flow import back_edges, loop_depths, successors
+from mavfi.ir.flow import back_edges, loop_depths, successors, uses
 from mavfi.ir.module import BasicBlock, Function, Instruction, Module, width
 from mavfi.ir.parser import VOLATILE_LOAD
 
@@ -35,10 +35,10 @@ _VECTOR = re.compile(r"<\d+ x (?:double|float|i64|i32|i16|i8|ptr)>")
 
 def candidates(module: Module) -> list[ModuleSite]:
     """All sites that can be duplicated, in text order."""
-    able = reporting(module)
+    reporting_functions = reporting(module)
     sites = []
     for i, function in enumerate(module.functions):
-        if function.name not in able:
+        if function.name not in reporting_functions:
             continue
         kinds = kinds_of(function)
         for j, block in enumerate(function.blocks):
@@ -50,13 +50,13 @@ def candidates(module: Module) -> list[ModuleSite]:
 
 def reporting(module: Module) -> set[str]:
     """Functions that can return a status, and are called only by such functions and by Numba's wrapper."""
-    able = {function.name for function in module.functions if function.kind == "i32"}
+    names = {function.name for function in module.functions if function.kind == "i32"}
     calls = [(function.name, called) for function in module.functions for called in callees(function)]
     while True:  # removing a function may leave another one with a caller that cannot return a status
-        lost = {called for caller, called in calls if caller not in able} & able
-        if not lost:
-            return able
-        able -= lost
+        without_reporting_caller = {called for caller, called in calls if caller not in names} & names
+        if not without_reporting_caller:
+            return names
+        names -= without_reporting_caller
 
 
 def callees(function: Function) -> set[str]:
@@ -81,9 +81,10 @@ def _can_differ(instruction: Instruction, kinds: dict[str, str]) -> bool:
     return instruction.opcode == "load" or any(name in kinds for name in instruction.uses())
 
 
-def reads_memory(instruction: Instruction) -> bool:
-    """Whether an instruction is a load, of one or several elements."""
-    return instruction.opcode == "load" or bool(_MEMORY.match(str(instruction.callee)))
+def is_address(name: str, user: Instruction) -> bool:
+    """Whether an instruction loads one or several elements from a value."""
+    is_load = user.opcode == "load" or bool(_MEMORY.match(str(user.callee)))
+    return is_load and name in user.addresses
 
 
 def can_copy(kind: str) -> bool:
@@ -155,10 +156,12 @@ def protect(module: Module, sites: Collection[ModuleSite], *, addresses: bool) -
         chosen[number].add(str(module.functions[number].blocks[block].sites[offset].result))
 
     # 2. Functions that may return the status: those with chosen values, and all callers of such functions.
-    able = reporting(module)
+    reporting_functions = reporting(module)
     detecting = {module.functions[number].name for number in chosen}
     while True:
-        callers = {f.name for f in module.functions if f.name in able and callees(f) & detecting} - detecting
+        callers = {
+            f.name for f in module.functions if f.name in reporting_functions and callees(f) & detecting
+        } - detecting
         if not callers:
             break
         detecting |= callers
@@ -187,12 +190,12 @@ class _Duplicator:
 
     Attributes:
         kinds: Types of all values, by name.
-        home: Block and instruction that compute each value.
+        definitions: Block and instruction that compute each value.
         headers: Labels of the latches of each loop header.
         duplicable: Names of the values that get a shadow.
-        uses: See `_uses`.
+        uses: Users of each of these values, with the label of the block in which it must be available.
         checked_in: See `_places_of_checks`.
-        checked_last: See `_checks_at_end`.
+        checked_at_end: See `_checks_at_end`.
         numbers: Number of added instructions.
         tails: Copies at the end of a block, by its label.
         starts: Initial value of a phi's shadow, by result, label and value.
@@ -208,14 +211,17 @@ class _Duplicator:
         self.addresses = addresses
         self.detecting = detecting
         self.kinds = kinds_of(function)
-        self.home = {str(site.result): (block, site) for block in function.blocks for site in block.sites}
+        self.definitions = {str(site.result): (block, site) for block in function.blocks for site in block.sites}
         self.headers: dict[str, set[str]] = defaultdict(set)
         for latch, header in back_edges(function):
             self.headers[header].add(latch)
         self.duplicable = self._separable(chosen)
-        self.uses = self._uses()
+        self.uses: dict[str, list[tuple[Instruction, str]]] = {name: [] for name in self.duplicable}
+        for name, user, label in uses(function):
+            if name in self.duplicable:
+                self.uses[name].append((user, label))
         self.checked_in = self._places_of_checks()
-        self.checked_last = self._checks_at_end()
+        self.checked_at_end = self._checks_at_end()
         self.numbers = 0
         self.tails: dict[str, list[Instruction]] = defaultdict(list)
         self.starts: dict[tuple[str, str, str], str] = {}
@@ -226,34 +232,21 @@ class _Duplicator:
     def _separable(self, chosen: set[str]) -> set[str]:
         """The chosen values without those whose shadow code generation could merge with them."""
         while True:  # removing a value may leave a user of it without an operand of its own
-            separable = {name for name in chosen if self._differs(self.home[name][1], chosen)}
+            separable = {name for name in chosen if self._can_differ(self.definitions[name][1], chosen)}
             if separable == chosen:
                 return separable
             chosen = separable
 
-    def _differs(self, instruction: Instruction, chosen: set[str]) -> bool:
+    def _can_differ(self, instruction: Instruction, chosen: set[str]) -> bool:
         """Whether a shadow of an instruction can have an operand that the original does not have."""
         if instruction.opcode in ("load", "phi"):
             return True
         return any(name in chosen or can_copy(self.kinds.get(name, "")) for name in instruction.uses())
 
-    def _uses(self) -> dict[str, list[tuple[Instruction, str]]]:
-        """Users of each chosen value, with the label of the block in which it must be available."""
-        uses: dict[str, list[tuple[Instruction, str]]] = defaultdict(list)
-        for block in self.function.blocks:
-            for user in block.all():
-                if user.opcode == "phi":
-                    for value, label in user.incoming:  # needed at the end of the block before
-                        uses[value].append((user, label))
-                else:
-                    for name in dict.fromkeys(user.uses()):
-                        uses[name].append((user, block.label))
-        return {name: uses[name] for name in self.duplicable}
-
-    def _leaves(self, name: str, user: Instruction) -> bool:
+    def _must_be_checked(self, name: str, user: Instruction) -> bool:
         """Whether a value must be compared before this use of it."""
         if user.result in self.duplicable:
-            return self.addresses and reads_memory(user) and name in user.addresses
+            return self.addresses and is_address(name, user)
         return not (is_fork(user) and name == user.tokens[2])
 
     def _places_of_checks(self) -> dict[str, set[str]]:
@@ -261,16 +254,16 @@ class _Duplicator:
         depth = loop_depths(self.function)
         places = {}
         for name, users in self.uses.items():
-            exits = {label for user, label in users if self._leaves(name, user)}
+            exits = {label for user, label in users if self._must_be_checked(name, user)}
             if not exits:
                 continue
             # Ten executions per loop are assumed: the cheaper place is taken.
-            home = self.home[name][0].label
+            block_of_definition = self.definitions[name][0].label
             executions_at_exits = sum(10.0 ** depth[label] for label in exits)
-            if executions_at_exits < 10.0 ** depth[home]:
+            if executions_at_exits < 10.0 ** depth[block_of_definition]:
                 places[name] = exits
             else:
-                places[name] = {home}
+                places[name] = {block_of_definition}
         return places
 
     def _checks_at_end(self) -> dict[str, list[str]]:
@@ -278,13 +271,15 @@ class _Duplicator:
         names: dict[str, list[str]] = defaultdict(list)
         for name, labels in self.checked_in.items():
             for user, label in self.uses[name]:
-                if user.opcode == "phi" and label in labels and self._leaves(name, user):
+                if user.opcode == "phi" and label in labels and self._must_be_checked(name, user):
                     names[label].append(name)
         return names
 
     def _only_decides(self, name: str) -> bool:
         """Whether a value is a comparison for branches only: its shadow is computed on their edges."""
-        return self.home[name][1].opcode in ("icmp", "fcmp") and all(is_fork(user) for user, _ in self.uses[name])
+        return self.definitions[name][1].opcode in ("icmp", "fcmp") and all(
+            is_fork(user) for user, _ in self.uses[name]
+        )
 
     # ---- writing ----------------------------------------------------------------------------------------------------
     def run(self) -> Function:
@@ -301,15 +296,13 @@ class _Duplicator:
 
         # 3. Phis must name the parts of blocks that lead to them, and all checks need the block that stops.
         for block in self.blocks:
-            block.phis = [self._from_parts(phi, block.label) for phi in block.phis]
+            for number, phi in enumerate(block.phis):
+                incoming = [(value, self.ends.get((before, block.label), before)) for value, before in phi.incoming]
+                block.phis[number] = replace(phi, incoming=incoming)
         if any(_STOP in successors(block.terminator) for block in self.blocks):
             end = Instruction("ret", ["ret", "i32", str(DETECTED)])
             self.blocks.append(BasicBlock(_STOP, terminator=end, unreached=True))
         return replace(self.function, blocks=self.blocks)
-
-    def _from_parts(self, phi: Instruction, label: str) -> Instruction:
-        incoming = [(value, self.ends.get((before, label), before)) for value, before in phi.incoming]
-        return replace(phi, incoming=incoming)
 
     def _start(self, phi: Instruction, label: str) -> None:
         """Copy incoming values of a phi that have no shadow, where its own shadow would else equal the original."""
@@ -347,7 +340,7 @@ class _Duplicator:
             if instruction.callee in self.detecting:
                 # the called function has detected a difference: its caller need not look at the status
                 self._stop_if("eq", "i32", [str(instruction.result), str(DETECTED)], instruction)
-        for name in self.checked_last[block.label]:
+        for name in self.checked_at_end[block.label]:
             self._check(name, block.terminator)
         self.block.body += self.tails[block.label]
         self._finish(block)
@@ -382,8 +375,8 @@ class _Duplicator:
             opcode = VOLATILE_LOAD
         elif not operands:
             # A copy that this block has already is best, then one that needs no detour through a byte.
-            able = [name for name in instruction.uses() if can_copy(self.kinds.get(name, ""))]
-            name = min(able, key=lambda name: (name not in self.copies, constraint_of(self.kinds[name]) is None))
+            copyable = [name for name in instruction.uses() if can_copy(self.kinds.get(name, ""))]
+            name = min(copyable, key=lambda name: (name not in self.copies, constraint_of(self.kinds[name]) is None))
             if name not in self.copies:
                 self.copies[name] = self._copy(name, instruction, self.block.body)
             operands = {name: self.copies[name]}
@@ -430,13 +423,13 @@ class _Duplicator:
     def _check_where_computed(self, instruction: Instruction, label: str) -> None:
         """Compare the result of an instruction if that is to happen in its block."""
         name = str(instruction.result)
-        if self.checked_in.get(name) == {label} and self.home[name][0].label == label:
+        if self.checked_in.get(name) == {label} and self.definitions[name][0].label == label:
             self._check(name, instruction)
 
     def _check_uses(self, user: Instruction, label: str) -> None:
         """Compare the values that leave the set here."""
         for name in dict.fromkeys(user.uses()):
-            if label in self.checked_in.get(name, ()) and self._leaves(name, user):
+            if label in self.checked_in.get(name, ()) and self._must_be_checked(name, user):
                 self._check(name, user)
 
     def _check(self, name: str, like: Instruction | None) -> None:
@@ -490,7 +483,7 @@ class _Duplicator:
             return shadow(condition)
         copies = self.copies
         self.copies = dict(copies)  # a copy made on one edge is not known on the other one
-        self._shadow(self.home[condition][1], f"{edge}s")
+        self._shadow(self.definitions[condition][1], f"{edge}s")
         self.copies = copies
         return f"{edge}s"
 
@@ -565,8 +558,8 @@ def raising(text: str, kernels: set[str], status: int) -> str:
     label = next(line[:-1] for line in lines[calls[0] :: -1] if re.fullmatch(r'(?:"[^"]*"|[-\w$.]+):', line))
     result = lines[calls[0]].split()[0]
     check = [
-        f"  %mavfi.found = icmp eq i32 {result}, {status}",
-        "  br i1 %mavfi.found, label %mavfi.raise, label %mavfi.fine",
+        f"  %mavfi.differs = icmp eq i32 {result}, {status}",
+        "  br i1 %mavfi.differs, label %mavfi.raise, label %mavfi.fine",
         "mavfi.raise:",
         "  call void @PyErr_SetString(ptr @PyExc_SystemError, ptr @mavfi_detected)",
         "  ret ptr null",

@@ -129,7 +129,7 @@ class Target:
     def _clock(self, module: Module) -> Clock:
         """Clock of a variant of the function."""
         environment = environment_of(self.seen.function, self.seen.signature)
-        return Timed(self.source, Timed.code_of(self.source, module), environment).ticks
+        return Timed(self.source, module, environment).ticks
 
     def _timed(self, sites: Collection[ModuleSite]) -> tuple[float, float]:
         """Ticks of a plain call, and the time of a protected one as a multiple of it."""
@@ -202,12 +202,12 @@ def harden(
         BadInputError: A mission cannot be flown, or no fault was.
     """
     flights: list[HardenedFlight] = []
-    known: dict[FunctionKey, Target] = {}
+    targets: dict[FunctionKey, Target] = {}
     for planner, kernels in ledger.by_planner().items():
         seen = observe(ledger.observed(planner), kernels, tell)
-        new = [_target(ledger, function, addresses=addresses) for function in seen if function.key not in known]
-        shared = [known[function.key] for function in seen if function.key in known]
-        known |= {target.seen.key: target for target in new}
+        new = [_target(ledger, function, addresses=addresses) for function in seen if function.key not in targets]
+        shared = [targets[function.key] for function in seen if function.key in targets]
+        targets |= {target.seen.key: target for target in new}
         for target in new:
             tell(f"timing {target.seen.key.function}")
             target.measure(target.all_sites)

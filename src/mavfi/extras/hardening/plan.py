@@ -243,18 +243,11 @@ def _ranges(sites: Collection[ModuleSite]) -> list[str]:
     """Inverse of `_expand`, one text per block."""
     texts = []
     for block, in_block in groupby(sites, key=lambda site: site.block):
-        spans: list[list[int]] = []  # first and last offset of each run without a gap
-        for site in in_block:
-            if spans and site.offset == spans[-1][1] + 1:
-                spans[-1][1] = site.offset
-            else:
-                spans.append([site.offset, site.offset])
-        offsets = ",".join(_span_text(low, high) for low, high in spans)
-        texts.append(f"{block}:{offsets}")
+        offsets = [site.offset for site in in_block]
+        spans = []
+        # offset - position is the same within a run without a gap
+        for _, run in groupby(enumerate(offsets), key=lambda numbered: numbered[1] - numbered[0]):
+            first, *others = (offset for _, offset in run)
+            spans.append(f"{first}-{others[-1]}" if others else f"{first}")
+        texts.append(f"{block}:{','.join(spans)}")
     return texts
-
-
-def _span_text(low: int, high: int) -> str:
-    if low == high:
-        return f"{low}"
-    return f"{low}-{high}"

@@ -51,7 +51,7 @@ class ProtectionRewriter:
     def load(self, name: str) -> ProtectionPlan:
         """Read a plan: a shipped one by name, or a file."""
         plan = load_plan(name)
-        check_plan(plan, name)
+        self.check(plan, name)
         return plan.bare
 
     def read(self, data: Mapping[str, Any], *, stored: bool) -> ProtectionPlan:
@@ -59,8 +59,25 @@ class ProtectionRewriter:
         return parse(ProtectionPlan, dict(data), KEY, stored=stored)
 
     def check(self, plan: ProtectionPlan, name: str) -> None:
-        """See `check_plan`."""
-        check_plan(plan, name)
+        """Check a plan without its code; messages contain its name.
+
+        Raises:
+            BadInputError: It was made by another compiler, or names an unknown kernel or function.
+        """
+        plan.check_versions()
+        for planned in plan.functions:
+            is_of_mavfi = planned.function.startswith("mavfi.")
+            if planned.kernel not in INJECTABLE and not is_of_mavfi:
+                continue  # of a plug-in, whose code is compared after the flight
+            if planned.kernel not in INJECTABLE:
+                allowed = ", ".join(INJECTABLE)
+                raise BadInputError(f"protection {name}: kernel {planned.kernel!r}: not known; allowed: {allowed}")
+            functions = [name_of(getattr(PLAIN, entry)) for entry in INJECTABLE[planned.kernel]]
+            if planned.function not in functions:
+                raise BadInputError(
+                    f"protection {name}: function {planned.function!r}: not of kernel {planned.kernel}; allowed: "
+                    + ", ".join(functions)
+                )
 
     def check_flown(self, plan: ProtectionPlan) -> None:
         """Compare a plan with the code of the functions that this process has called.
@@ -127,28 +144,6 @@ REWRITER = ProtectionRewriter()
 
 
 # ---- plans and the code ---------------------------------------------------------------------------------------------
-def check_plan(plan: ProtectionPlan, name: str) -> None:
-    """Check a plan without its code; messages contain its name.
-
-    Raises:
-        BadInputError: It was made by another compiler, or names an unknown kernel or function.
-    """
-    plan.check_versions()
-    for planned in plan.functions:
-        is_of_mavfi = planned.function.startswith("mavfi.")
-        if planned.kernel not in INJECTABLE and not is_of_mavfi:
-            continue  # of a plug-in, whose code is compared after the flight
-        if planned.kernel not in INJECTABLE:
-            allowed = ", ".join(INJECTABLE)
-            raise BadInputError(f"protection {name}: kernel {planned.kernel!r}: not known; allowed: {allowed}")
-        functions = [name_of(getattr(PLAIN, entry)) for entry in INJECTABLE[planned.kernel]]
-        if planned.function not in functions:
-            raise BadInputError(
-                f"protection {name}: function {planned.function!r}: not of kernel {planned.kernel}; allowed: "
-                + ", ".join(functions)
-            )
-
-
 class _CalledFunction(NamedTuple):
     """A planned function that this process has called, with the Numba types of its arguments."""
 

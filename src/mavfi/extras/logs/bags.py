@@ -18,8 +18,8 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.logs.table import TOPIC, CsvReader
-from mavfi.faults.levels.message.definition import Definition
-from mavfi.flight.log_readers import LoggedMessage, check_topics, reading
+from mavfi.extras.shared.log_readers import LoggedMessage, check_topics, reading
+from mavfi.extras.shared.message_definition import Definition
 from mavfi.plugins import reason
 
 _HEADER = "MSG: std_msgs/Header\n"

@@ -149,7 +149,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.logs.detectors import is_fitted, uses_rules
     from mavfi.extras.logs.selection import Wanted, parse_kinds, summary
     from mavfi.extras.logs.watch import LogRates
-    from mavfi.flight.log_readers import recording_at
+    from mavfi.extras.shared.log_readers import recording_at
 
     # Check the options.
     logs = [recording_at(path) for path in logs]
@@ -218,7 +218,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
 
 def _selected(log_watches: list[LogWatch]) -> tuple[dict[str, list[str]], dict[str, str]]:
     """Monitored fields by topic, and what the angles and quaternions among them are."""
-    from mavfi.detectors.foreign import TURNS
+    from mavfi.extras.shared.foreign import TURNS
 
     names: dict[str, list[str]] = {}
     geometry: dict[str, str] = {}

@@ -144,7 +144,7 @@ def _fly_recorded(source: Path, run_id: str) -> ExportedFlight:
         flight, published = fly_recorded(setup, fault)
         if flight.log.digest() != log.digest():
             raise BadInputError("another flight resulted, e.g. by another version or after edits of a file")
-        # Its golden run, which is another one only with a fault.
+        # Its golden run: the flight itself if it has no fault.
         golden = None
         if fault is not None:
             golden = fly_recorded(setup, None)[0].log
@@ -162,7 +162,7 @@ def _setup(request: SavedRequest | None, scenario: Scenario) -> ArmSetup:
 
     if request is None:
         return ArmSetup(scenario)
-    return watched(request.mission, request.detector, request.profile, request.models).setup
+    return watched(request.mission, request.detector, request.profile, request.models)
 
 
 def _write(exported: ExportedFlight, to: Path, source: str) -> int:

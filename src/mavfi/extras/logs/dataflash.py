@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError, not_installed
-from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
+from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics, reading
 
 _CODES = {**{code: code for code in "bBhHiIqQfd"}, "g": "f", **dict.fromkeys("cCeEL", "d")}
 """Types of the numbers of each format character, as in `struct`; scaled integers become float64."""

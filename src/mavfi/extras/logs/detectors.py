@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector, class_of
-from mavfi.detectors.foreign import Monitor
 from mavfi.detectors.gate import UNKNOWN_ARENA
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import detector_class, is_named, load_detector
@@ -16,6 +15,7 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.logs.log_rules import LogRules
 from mavfi.extras.logs.mapping import Mapper, UsedMapping, values_by_name
 from mavfi.extras.logs.selection import LogSelection
+from mavfi.extras.shared.foreign import Monitor
 from mavfi.plugins import reason
 from mavfi.states import ODOMETRY, STATES, VECTORS, State
 

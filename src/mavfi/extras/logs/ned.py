@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavfi.numerics.frames import Numbers, Triple
+from mavfi.extras.shared.frames import Numbers, Triple
 
 _TURN = np.array([1.0, -1.0, -1.0])
 

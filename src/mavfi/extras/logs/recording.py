@@ -11,8 +11,8 @@ import numpy as np
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.logs.ulog import FAULT_FIELD, FAULT_TOPIC
-from mavfi.faults.levels.message.definition import FORMATS, AbsentError, Definition
-from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, open_flight_log
+from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics, open_flight_log
+from mavfi.extras.shared.message_definition import FORMATS, AbsentError, Definition
 
 _SHORTEST_LIMIT_US = 1_000_000
 """Times without a message up to this one are flight, whatever the rate of the log (us)."""

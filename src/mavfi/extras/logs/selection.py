@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.detectors.foreign import (
+from mavfi.errors import BadInputError, allowed, hint
+from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
+from mavfi.extras.logs.recording import LogRecording, values_of
+from mavfi.extras.shared.foreign import (
     COUNTER,
     QUATERNION,
     SMALLEST_SAMPLE,
@@ -18,10 +21,7 @@ from mavfi.detectors.foreign import (
     foreign_spec,
     recognise,
 )
-from mavfi.errors import BadInputError, allowed, hint
-from mavfi.extras.logs.mapping import NO_MAPPING, UsedMapping, choose_mapping, nearest_mapping
-from mavfi.extras.logs.recording import LogRecording, values_of
-from mavfi.flight.log_readers import LONGEST_LIST, LoggedMessage
+from mavfi.extras.shared.log_readers import LONGEST_LIST, LoggedMessage
 
 COUNTS = "counts messages or time (see --kinds)"
 _NOT_RECOMMENDED = "not recommended (see --fields)"

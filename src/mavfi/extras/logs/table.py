@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from mavfi.errors import BadInputError
+from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics
 from mavfi.files import read_file
-from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics
 
 TOPIC = "row"
 """The only topic of a table."""

@@ -19,11 +19,11 @@ import numpy as np
 from mavfi.errors import BadInputError, not_installed, writing
 from mavfi.extras.logs.lines import ERROR, INFO, WARN, LogLine, lines_at, lines_of
 from mavfi.extras.logs.ned import euler, ned_of
-from mavfi.faults.levels.message.definition import FORMATS, Leaf
-from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, reading
+from mavfi.extras.shared.frames import Triple, geodetic
+from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics, reading
+from mavfi.extras.shared.message_definition import FORMATS, Leaf
 from mavfi.flight.loop import FlightItem, Loop
 from mavfi.mission import MissionStatus
-from mavfi.numerics.frames import Triple, geodetic
 from mavfi.record import FlightLog
 from mavfi.states import State
 

@@ -16,7 +16,7 @@ import numpy as np
 from mavfi.errors import not_installed, writing
 from mavfi.extras.logs.lines import ERROR, INFO, WARN, LogLine, line_of, lines_of
 from mavfi.extras.logs.ned import ned_of
-from mavfi.flight.log_readers import LoggedMessage, RecordLayout, check_topics, numeric, reading
+from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics, numeric, reading
 from mavfi.record import FlightLog
 
 _FLIGHT_STATES = (

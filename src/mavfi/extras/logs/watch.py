@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.analysis.statistics import EventRate, Rate, event_rate, wilson
-from mavfi.detectors.foreign import NOT_FINITE_RULE, foreign_state
 from mavfi.extras.logs.detectors import log_detector
 from mavfi.extras.logs.recording import LogRecording, Silence, exposure_s, longest_gap_us, silences
 from mavfi.extras.logs.selection import LogSelection, NotMonitored
-from mavfi.faults.levels.message.definition import AbsentError, Leaf, flip_bit
+from mavfi.extras.shared.foreign import NOT_FINITE_RULE, foreign_state
+from mavfi.extras.shared.log_readers import Layout, LoggedMessage
+from mavfi.extras.shared.message_definition import AbsentError, Leaf, flip_bit
 from mavfi.faults.strata import bits_of
-from mavfi.flight.log_readers import Layout, LoggedMessage
 from mavfi.states import Field, State
 
 _EVENT_GAP_US = 1_000_000

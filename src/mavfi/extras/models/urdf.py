@@ -59,7 +59,7 @@ class UrdfRobot:
 
 
 def read_urdf(path: Path) -> UrdfRobot:
-    """A robot from a URDF file; raises a `BadInputError` if it is none."""
+    """A robot from a URDF file; raises a `BadInputError` if the file holds none."""
     return robot_from(read_xml(path), path)
 
 

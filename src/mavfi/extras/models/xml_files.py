@@ -64,7 +64,7 @@ def numbers(text: str | None, count: int, what: str) -> tuple[float, ...]:
     """Numbers in a text, separated by spaces.
 
     Raises:
-        BadInputError: They are others than `count` finite numbers.
+        BadInputError: They are not `count` finite numbers.
     """
     try:
         values = tuple(float(word) for word in (text or "").split())

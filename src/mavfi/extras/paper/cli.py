@@ -170,28 +170,22 @@ def _folders_to_time(study: "Study", campaigns: Mapping[str, "Campaign"], out: P
 def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
     """Refuse a campaign of a file that names what does not exist, or whose ledger holds another one."""
     from mavfi.campaign.begin import check_names
-
-    check_names(campaign, source)
-    _check_ledger(campaign, ledger)
-
-
-def _check_ledger(campaign: "Campaign", folder: Path) -> None:
-    """Reject a folder that holds another campaign, before training or writing anything."""
     from mavfi.campaign.fingerprint import differences
     from mavfi.campaign.resolve import resolve
     from mavfi.campaign.run import identity_of
     from mavfi.campaign.store import FILE, Store
 
-    if not is_file(folder / FILE):
+    check_names(campaign, source)
+    if not is_file(ledger / FILE):
         return
-    with Store.open(folder) as store:
+    with Store.open(ledger) as store:
         stored = store.meta("identity")
     wanted = identity_of(resolve(campaign).with_scenarios())
     # without the models, which may still have to be trained
     keys = ("campaign", "scenarios")
     differing = differences({key: stored.get(key) for key in keys}, {key: wanted.get(key) for key in keys})
     if differing:
-        raise BadInputError(f"{folder}: holds another campaign (differs in: {differing}); choose another directory")
+        raise BadInputError(f"{ledger}: holds another campaign (differs in: {differing}); choose another directory")
 
 
 def _missions(campaign: "Campaign") -> list["MissionSpec"]:
@@ -248,9 +242,9 @@ def failures(
 ) -> None:
     """Compare settings by failures per flight hour.
 
-    They are upset rate x instructions x harm, of detectors and recovery too. Harm is the increase in mission failures
-    per fault. Needs a campaign with instruction faults in which the golden runs of every arm are counted, e.g.
-    failure_rate.
+    They are the product of upset rate, instructions (those of detectors and recovery included) and harm, the increase
+    in mission failures per fault. Needs a campaign with instruction faults in which the golden runs of every arm are
+    counted, e.g. failure_rate.
 
     Example: [bold]mavfi failures out/failure_rate --upsets my_upsets.yaml[/bold]
     """

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -16,12 +16,11 @@ from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.store import FILE, Store
 from mavfi.cli.console import console
-from mavfi.cli.progress import Bar
 from mavfi.cli.report import Reported, page_bar
 from mavfi.extras.paper.report import StudyReport, stored_study, title_of, write_study
 from mavfi.extras.paper.study import Study
 from mavfi.files import check_folder
-from mavfi.report.campaign_report import CampaignReport, write_report
+from mavfi.report.campaign_report import write_report
 from mavfi.report.figures import Drawn, drawn
 from mavfi.report.html.report_page import (
     NO_FLIGHTS,
@@ -32,6 +31,7 @@ from mavfi.report.html.report_page import (
     more_flights,
     write_page,
 )
+from mavfi.report.progress import Bar
 from mavfi.report.text import show_table
 
 
@@ -83,15 +83,11 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
         partial(write_study, study, scale, folder),  # the longest first
         *(partial(write_report, directory) for directory in campaigns),
     ]
-    if _polars_has_threads():
-        report_workers = 1
-    else:
-        report_workers = workers
-    if bar is None:
-        study_report, *campaign_reports = _write_all(tasks, report_workers)
-    else:
+    show = None
+    if bar is not None:
         bar.begin_step("tables and figures", "reports")
-        study_report, *campaign_reports = _write_all(tasks, report_workers, bar.show)
+        show = bar.show
+    study_report, *campaign_reports = _write_all(tasks, workers, show)
 
     # the page needs the reports of all campaigns
     reports = dict(zip(campaigns, campaign_reports, strict=True))
@@ -102,9 +98,18 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
             bar.begin_step("report.html and its flights")
             shown_bar = nullcontext(bar)
         with shown_bar as running_bar:
-            page_flights = write_study_html(
-                page, folder, study_report, scale, reports, flights, workers, running_bar.show
-            )
+            parts = [ReportedCampaign(directory, report) for directory, report in reports.items()]
+            repeat = [
+                (
+                    "Fly the study, or what is left of it",
+                    f"mavfi reproduce {study.name} --scale {scale} --out {folder}",
+                ),
+                (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {folder} --share 0.02"),
+                *more_flights(folder, page),
+            ]
+            sections = sections_of_study(study_report)
+            headline = headline_of_study(study_report)
+            page_flights = write_page(page, parts, sections, repeat, flights, workers, running_bar.show, headline)
     return study_report, page_flights
 
 
@@ -134,7 +139,7 @@ def _write_all(
     """Reports in the order of the tasks that write them."""
     numbered = enumerate(tasks)
     results: Iterator[tuple[tuple[int, Callable[[], Any]], Any]]
-    if workers == 1:
+    if workers == 1 or _polars_has_threads():
         results = ((task, _write(task)) for task in numbered)
     else:
         results = map_each(LocalExecutor(workers), _write, numbered)
@@ -222,37 +227,3 @@ def headline_of_study(study: StudyReport) -> Headline:
         *study.provenance,
     ]
     return Headline("study", title_of(study.study), lines, study.findings)
-
-
-def write_study_html(  # noqa: PLR0913 - what the command was given
-    path: Path,
-    root: Path,
-    study: StudyReport,
-    scale: str,
-    reports: Mapping[Path, CampaignReport],
-    flights: int | None,
-    workers: int,
-    show: Callable[[int, int], None],
-) -> EmbeddedFlights:
-    """Write the page of a study.
-
-    Args:
-        path: File to write.
-        root: Folder of the study.
-        study: Its results.
-        scale: Its scale.
-        reports: Reports of its campaigns, by folder of the ledger.
-        flights: Maximum number of flights; None = see `write_page`.
-        workers: Number of processes.
-        show: See `write_page`.
-
-    Returns:
-        The flights in the page.
-    """
-    parts = [ReportedCampaign(directory, report) for directory, report in reports.items()]
-    repeat = [
-        ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --scale {scale} --out {root}"),
-        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
-        *more_flights(root, path),
-    ]
-    return write_page(path, parts, sections_of_study(study), repeat, flights, workers, show, headline_of_study(study))

@@ -9,7 +9,7 @@ injected and summed like other kernels, and recomputations count towards their k
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import polars as pl
@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 
 from mavfi.analysis.measures import Measure, against_fi
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Rate, paired_difference
+from mavfi.analysis.statistics import Estimate, Rate, paired_difference
 from mavfi.analysis.table import ESTIMATE, NUMBER, POINTS, Table
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
@@ -81,24 +81,6 @@ def altitude_factor(altitude: float) -> float:
     h = altitude / 304.8
     depth = 1033.0 * math.exp(-0.03813 * h - 0.00014 * h * h + 6.4e-7 * h**3)
     return math.exp((1033.0 - depth) / 131.3)
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A value with the bounds of its interval or band."""
-
-    value: float
-    low: float
-    high: float
-
-    def times(self, factor: float) -> "Estimate":
-        """The estimate scaled by a factor."""
-        low, high = sorted((factor * self.low, factor * self.high))
-        return Estimate(factor * self.value, low, high)
-
-    def not_negative(self) -> "Estimate":
-        """The estimate of a value that cannot be negative: value and interval are cut at 0, which loses no coverage."""
-        return Estimate(max(0.0, self.value), max(0.0, self.low), max(0.0, self.high))
 
 
 def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
@@ -214,7 +196,7 @@ def _exposed(runs: Runs, success: str) -> ExposedKernels:
             weights = _weights(runs, kernel, [row["run_id"] for row in golden], worlds)
             without_fault = [row["success"] for row in golden]
             with_fault = [row[success] for row in rows]
-            harm = Estimate(*paired_difference(without_fault, with_fault, worlds, weights))
+            harm = paired_difference(without_fault, with_fault, worlds, weights)
             kernels = kernels_by_setting.setdefault((environment, setting), {})
             kernels[kernel] = KernelFaults([row["run_id"] for row in rows], ExposedKernel(counts[kernel], harm))
     return kernels_by_setting
@@ -253,14 +235,16 @@ def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Co
     changes = _changes(runs, environment, setting, kernels)
     if not changes:
         return None
-    return total_failures([*changes, *_detector_parts(runs, environment, setting)], upset)
+    # what the faults in the setting's own detector cause
+    detectors = _detectors(runs)
+    kernels_of_setting = exposed(runs)[environment, setting].items()
+    of_detectors = [faults.exposed for kernel, faults in kernels_of_setting if kernel in detectors]
+    return total_failures([*changes, *of_detectors], upset)
 
 
-def _detector_parts(runs: Runs, environment: str, setting: str) -> list[ExposedKernel]:
-    """What the faults in a setting's own detector cause."""
-    kernels = exposed(runs).get((environment, setting), {})
-    detectors = {*DETECTORS, *runs.campaign.get("custom_detectors", ())}
-    return [faults.exposed for kernel, faults in kernels.items() if kernel in detectors]
+def _detectors(runs: Runs) -> set[str]:
+    """Names of the detectors among the kernels."""
+    return {*DETECTORS, *runs.campaign.get("custom_detectors", ())}
 
 
 def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str]) -> list[ExposedKernel]:
@@ -284,7 +268,7 @@ def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str
     golden_runs = _golden(runs)
     golden = runs.golden.where(environment=environment)
     counts = {arm: instructions_per_hour(golden.where(arm=arm)) for arm in ("", *pairs.values("arm"))}
-    detectors = {*DETECTORS, *runs.campaign.get("custom_detectors", ())}
+    detectors = _detectors(runs)
     parts_by_kernel: dict[str, list[ExposedKernel]] = {}
     for (kernel, arm), kernel_pairs in pairs.groups("kernel", "arm").items():
         counted_arm = arm if counts[arm] else ""
@@ -314,14 +298,14 @@ def _changed(
     worlds = pairs["world"]
     fault_alone = pairs["fi_success"]
     weights = _weights(pairs, kernel, with_setting, worlds)
-    harm_change = Estimate(*paired_difference(fault_alone, pairs["dr_success"], worlds, weights))
+    harm_change = paired_difference(fault_alone, pairs["dr_success"], worlds, weights)
     with_setting_count, without_arm_count = instructions
     parts = [ExposedKernel(with_setting_count, harm_change)]
     if without_arm_count:
         added = with_setting_count - without_arm_count
         if added:
             weights = _weights(pairs, kernel, without_arm, worlds)
-            harm = Estimate(*paired_difference([True] * len(pairs), fault_alone, worlds, weights))
+            harm = paired_difference([True] * len(pairs), fault_alone, worlds, weights)
             parts.append(ExposedKernel(added, harm))
     return parts
 
@@ -354,13 +338,6 @@ def verdict(difference: Estimate) -> str:
     return f"{word}, {difference.value:+.1e} [{difference.low:+.1e}, {difference.high:+.1e}] failures per flight hour"
 
 
-def uncounted(runs: Runs) -> list[str]:
-    """Settings with instruction faults that `exposed` omits, since their golden runs have no instruction counts."""
-    counted = {setting for _, setting in exposed(runs)}
-    settings = dict.fromkeys(row["setting"] for row in runs.injected.where(level=INSTRUCTION))
-    return [setting for setting in settings if setting not in counted]
-
-
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
     upset = upsets_per_instruction(upsets).value
@@ -376,11 +353,20 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         # a row for each kernel
         for kernel, (run_ids, part) in kernels.items():
             caused = part.without_negative_harm().failures(upset)
-            numbers = _numbers(part.instructions, part.harm, caused, ended[kernel].failures(upset))
-            yield {**group, "kernel": kernel, "run_id": run_ids, "n": len(run_ids), **numbers}
+            yield {
+                **group,
+                "kernel": kernel,
+                "run_id": run_ids,
+                "n": len(run_ids),
+                "against": None,
+                "instructions": part.instructions,
+                "harm": asdict(part.harm),
+                "failures": asdict(caused),
+                "ended": asdict(ended[kernel].failures(upset)),
+            }
 
         # their sum, against that of faults without a detector
-        parts = _parts(kernels)
+        parts = [faults.exposed for faults in kernels.values()]
         instructions = sum(part.instructions for part in parts)
         total = _caused(kernels, upset)
         harm = total_failures(parts, 1.0).times(1 / instructions)
@@ -396,36 +382,20 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
             "run_id": run_ids,
             "n": len(run_ids),
             "against": against,
-            **_numbers(instructions, harm, total, total_failures(ended.values(), upset)),
+            "instructions": instructions,
+            "harm": asdict(harm),
+            "failures": asdict(total),
+            "ended": asdict(total_failures(ended.values(), upset)),
         }
-
-
-def _parts(kernels: Mapping[str, KernelFaults]) -> list[ExposedKernel]:
-    return [faults.exposed for faults in kernels.values()]
 
 
 def _caused(kernels: Mapping[str, KernelFaults], upset: float) -> Estimate:
     """Failures per flight hour that faults in kernels cause."""
-    return total_failures([part.without_negative_harm() for part in _parts(kernels)], upset)
-
-
-def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Estimate) -> dict[str, Any]:
-    return {
-        "instructions": instructions,
-        "harm": harm.value,
-        "harm_low": harm.low,
-        "harm_high": harm.high,
-        "failures": failures.value,
-        "failures_low": failures.low,
-        "failures_high": failures.high,
-        "ended": ended.value,
-        "ended_low": ended.low,
-        "ended_high": ended.high,
-    }
+    return total_failures([part.without_negative_harm() for _, part in kernels.values()], upset)
 
 
 def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
-    rows = [{"against": None, **row} for row in _rows(runs, upsets)]
+    rows = list(_rows(runs, upsets))
     if rows:
         frame = pl.DataFrame(rows, infer_schema_length=None).explode("run_id")
     else:
@@ -433,13 +403,8 @@ def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
     return replace(runs, frame=frame)
 
 
-def _harm(runs: Runs) -> Rate:
-    return Rate(runs.first("n"), runs.first("harm"), runs.first("harm_low"), runs.first("harm_high"))
-
-
 def _estimate(key: str, heading: str) -> Measure:
-    names = (key, f"{key}_low", f"{key}_high")
-    return Measure(key, heading, ESTIMATE, lambda runs: Estimate(*map(runs.first, names)))
+    return Measure(key, heading, ESTIMATE, lambda runs: Estimate(**runs.first(key)))
 
 
 _DIFFERENCE = (
@@ -458,10 +423,12 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
         verdicts = [*verdicts, _DIFFERENCE]
     fit = upsets.fit_per_mbit
     altitude = upsets.altitude
+    counted = {setting for _, setting in exposed(runs)}
     left_out = [
         f"{setting}: not in the table, the golden runs of its arm were not counted; needed: its detector (for "
         "recommended: acceptance) in sampling.kernels"
-        for setting in uncounted(runs)
+        for setting in runs.injected.where(level=INSTRUCTION).values("setting")
+        if setting not in counted
     ]
     return [
         *left_out,
@@ -491,7 +458,7 @@ _VIEW = View(
         Measure("against", "against fi", "number .2f ×", lambda runs: runs.first("against"), hidden=True),
         Measure("instructions", "instructions/h", "number .2e", lambda runs: runs.first("instructions")),
         Measure("n", "faults", NUMBER, lambda runs: runs.first("n")),
-        Measure("harm", "harm (points)", POINTS, _harm),
+        Measure("harm", "harm (points)", POINTS, lambda runs: Rate(runs.first("n"), *runs.first("harm").values())),
         _estimate("ended", "failures, dead node ends mission"),
     ),
     where=lambda runs: _computed(runs, find_upsets()),

@@ -22,13 +22,11 @@ from mavfi.analysis.rows import ACTIVATED
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.extras.paper.redundancy import (
-    AUTOENCODER,
+    SCHEMES,
     DesignConfig,
     band,
-    energy_ratio,
-    performance,
+    energy,
     ratio,
-    schemes,
     shipped_designs,
 )
 from mavfi.extras.paper.views import (
@@ -72,21 +70,23 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
 
     # a box and a mark for each row
     for (left, right), (environment, groups) in zip(panels, environments.items(), strict=True):
-        names = [str(name) for (name,) in groups]
-        golden = None
-        if GOLDEN_ROW in names:
-            golden = names.index(GOLDEN_ROW)
-        _times(left, [flights.where("success") for flights in groups.values()], golden)
-        for row, flights in enumerate(groups.values()):
-            label = {"environment": environment, column: names[row]}
-            _link_times(left, flights, row, label)
-            _success_mark(right, flights, row, _look(names[row]), label)
-        labels = [f"{name}  (n = {len(flights)})" for name, flights in zip(names, groups.values(), strict=True)]
-        left.set_yticks(range(len(names)), labels)
-        right.set_yticks(range(len(names)), [])
+        labels = []
+        for row, ((name,), flights) in enumerate(groups.items()):
+            labels.append(f"{name}  (n = {len(flights)})")
+            label = {"environment": environment, column: str(name)}
+            look = {"color": style.FAULT, "marker": "s"}
+            if name == GOLDEN_ROW:
+                look = {"color": style.GOLDEN, "marker": "o"}
+            arrived = _box(left, flights, row, look["color"], label)
+            _success_mark(right, flights, row, look, label)
+            if name == GOLDEN_ROW and len(arrived):
+                median = float(np.median(arrived["flight_time_s"]))
+                left.axvline(median, color=style.GOLDEN, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1)
+        left.set_yticks(range(len(labels)), labels)
+        right.set_yticks(range(len(labels)), [])
         left.set_title(environment)
         for axes in (left, right):
-            axes.set_ylim(len(names) - 0.5, -0.5)
+            axes.set_ylim(len(labels) - 0.5, -0.5)
             axes.tick_params(axis="y", length=0)
             axes.grid(axis="x")
 
@@ -119,32 +119,16 @@ def _success_mark(axes: Axes, flights: Runs, row: int, look: dict[str, Any], lab
     )
 
 
-def _look(name: str) -> dict[str, str]:
-    if name == GOLDEN_ROW:
-        return {"color": style.GOLDEN, "marker": "o"}
-    return {"color": style.FAULT, "marker": "s"}
+def _box(
+    axes: Axes, flights: Runs, position: float, colour: str, label: Mapping[str, str], *, upright: bool = False
+) -> Runs:
+    """Draw median and quartiles of the flights that succeed, with each as a dot; returns these flights.
 
-
-def _times(axes: Axes, parts: Sequence[Runs], golden: int | None) -> None:
-    """Draw a box per part, and a line at the golden median."""
-    for row, arrived in enumerate(parts):
-        colour = style.FAULT
-        if row == golden:
-            colour = style.GOLDEN
-        if len(arrived):
-            _box(axes, arrived, row, colour)
-    if golden is not None and len(parts[golden]):
-        axes.axvline(
-            float(np.median(parts[golden]["flight_time_s"])),
-            color=style.GOLDEN,
-            linewidth=0.9,
-            linestyle=(0, (4, 3)),
-            zorder=1,
-        )
-
-
-def _box(axes: Axes, arrived: Runs, position: float, colour: str, *, upright: bool = False) -> None:
-    """Draw median and quartiles of flight times, with every run as a dot; dots have deterministic jitter."""
+    Dots have deterministic jitter; box and dots link to the flights, which `label` names.
+    """
+    arrived = flights.where("success")
+    if not len(arrived):
+        return arrived
     values = arrived["flight_time_s"]
     orientation: Literal["horizontal", "vertical"] = "horizontal"
     if upright:
@@ -167,13 +151,8 @@ def _box(axes: Axes, arrived: Runs, position: float, colour: str, *, upright: bo
     y = values if upright else spread
     dots = axes.plot(x, y, ".", color=colour, markersize=4.5, markeredgewidth=0, alpha=0.65, zorder=2)
     links.dots(dots, arrived["run_id"])
-
-
-def _link_times(axes: Axes, flights: Runs, position: float, label: Mapping[str, str], *, upright: bool = False) -> None:
-    """Link the band of box and dots to the missions that succeed."""
-    arrived = flights.where("success")
-    if len(arrived):
-        links.band(axes, position, links.to_runs(arrived, **label), upright=upright)
+    links.band(axes, position, links.to_runs(arrived, **label), upright=upright)
+    return arrived
 
 
 # ---- Fig. 6 ------------------------------------------------------------------------------------------------------
@@ -198,11 +177,11 @@ def distributions(runs: Runs) -> Figure | None:
         if isinstance(limit, float):
             title = f"{environment} (limit {limit:.0f} s)"
         axes.set_title(title)
-        names = [f"{_short(name)}\n{_count(flights, name)}" for name in settings]
-        axes.set_xticks(range(len(settings)), names, fontsize=8)
-        axes.set_xlim(-0.6, len(settings) - 0.4)
-        axes.tick_params(axis="x", length=0)
-        axes.grid(axis="y")
+        names = []
+        for name in settings:
+            part = flights.where(setting=name)
+            names.append(f"{_setting_words(name)}\n{len(part.where('success'))}/{len(part)}")
+        _settings_axis(axes, names)
         axes.margins(y=0.14)  # the worst case's time is above its mark
     panels[0].set_ylabel("flight time of missions that succeed (s)")
 
@@ -221,32 +200,30 @@ def distributions(runs: Runs) -> Figure | None:
 
 def _setting_column(axes: Axes, flights: Runs, column: int, look: dict[str, Any], label: Mapping[str, str]) -> None:
     """Draw a box of the flights of a setting, the mean of the slowest, and the worst with its time."""
-    arrived = flights.where("success")
+    arrived = _box(axes, flights, column, look["color"], label, upright=True)
     times = arrived["flight_time_s"]
     tail = value_at_risk(times)
     if tail is None:  # no mission has succeeded
         return
-    _box(axes, arrived, column, look["color"], upright=True)
     axes.plot([column], [tail], "_", color=style.INK, markersize=15, markeredgewidth=1.2, zorder=4)
     worst = max(times)
     axes.plot([column], [worst], linestyle="", markersize=6.5, zorder=5, **look)
-    _link_times(axes, flights, column, label, upright=True)
     worst_run = arrived.where(flight_time_s=worst).first("run_id")
     links.points(axes, [column], [worst], [links.to_run(worst_run)])
     axes.annotate(f"{worst:.0f} s", (column, worst), (0, 6), textcoords="offset points", ha="center", fontsize=8)
 
 
-def _short(setting: str) -> str:
-    kind, _, arm = setting.partition("_")
-    if not arm:
-        return {"golden": "golden", "fi": "fault"}.get(kind, arm)
-    return arm
+def _setting_words(setting: str) -> str:
+    """Label of a setting, in lines short enough for a column."""
+    return style.setting_label(setting).replace(" + ", " +\n")
 
 
-def _count(flights: Runs, setting: str) -> str:
-    """Successes / n of a setting, as text."""
-    part = flights.where(setting=setting)
-    return f"{len(part.where('success'))}/{len(part)}"
+def _settings_axis(axes: Axes, names: Sequence[str]) -> None:
+    """Label the columns of settings, and draw a grid of times."""
+    axes.set_xticks(range(len(names)), names, fontsize=8)
+    axes.set_xlim(-0.6, len(names) - 0.4)
+    axes.tick_params(axis="x", length=0)
+    axes.grid(axis="y")
 
 
 def _drawings() -> Iterable[Drawing]:
@@ -276,7 +253,7 @@ def _drawings() -> Iterable[Drawing]:
 
 
 def flight_times(runs: Runs) -> Figure | None:
-    """Successful flights as points, with median and quartiles; one panel per platform.
+    """Successful flights as points, with a box, the mean of the slowest, and the worst; one panel per platform.
 
     The dashed line is the paper's flight time; the paper does not specify its flights.
     """
@@ -292,58 +269,29 @@ def flight_times(runs: Runs) -> Figure | None:
     for axes, (environment, platform) in zip(panels, platform_of.items(), strict=True):
         for column, setting in enumerate(settings):
             flights = all_flights.where(environment=environment, setting=setting)
-            _time_column(axes, flights, column, looks[setting], {"platform": platform, "setting": setting})
-        if paper.compared(runs.campaign):
-            _printed_time(axes, platform, len(settings) - 0.5)
-        names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
-        axes.set_xticks(range(len(settings)), names, fontsize=8)
-        axes.tick_params(axis="x", length=0)
-        axes.set_xlim(-0.5, len(settings) - 0.5)
-        axes.grid(axis="y")
+            _setting_column(axes, flights, column, looks[setting], {"platform": platform, "setting": setting})
+        printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
+        if paper.compared(runs.campaign) and printed is not None:
+            axes.axhline(printed, color=style.PAPER, linestyle="--", linewidth=0.9)
+            axes.annotate(
+                f"paper: {printed} s",
+                (len(settings) - 0.4, printed),
+                (0, 3),
+                ha="right",
+                fontsize=8,
+                textcoords="offset points",
+                color=style.PAPER,
+            )
+        _settings_axis(axes, [_setting_words(setting) for setting in settings])
         axes.set_title(platform)
     panels[0].set_ylim(0, None)
     panels[0].set_ylabel("flight time (s) of missions that succeed")
-    figure.supxlabel("one fault per mission; bar: quartiles; number: worst", fontsize=8.5, color=style.GREY)
+    figure.supxlabel(
+        "one fault per mission; box: quartiles; dash: mean of the slowest 5 %; number: worst",
+        fontsize=8.5,
+        color=style.GREY,
+    )
     return figure
-
-
-def _printed_time(axes: Axes, platform: str, right: float) -> None:
-    """Draw the paper's flight time on a platform as a line, with its number at the right end."""
-    printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
-    if printed is None:
-        return
-    axes.axhline(printed, color=style.PAPER, linestyle="--", linewidth=0.9)
-    axes.annotate(
-        f"paper: {printed} s",
-        (right, printed),
-        (0, 3),
-        ha="right",
-        fontsize=8,
-        textcoords="offset points",
-        color=style.PAPER,
-    )
-
-
-def _time_column(axes: Axes, flights: Runs, column: int, look: dict[str, Any], label: Mapping[str, str]) -> None:
-    """Draw all flights as points, quartiles as a bar with the median on it, and the worst time as a number."""
-    times = np.sort(flights.frame["flight_time_s"].to_numpy())
-    if not len(times):
-        return
-    spread = column - 0.32 + 0.64 * ((np.arange(len(times)) * 0.618034) % 1.0)  # golden ratio: even, without overlap
-    axes.plot(spread, times, linestyle="", markersize=3, alpha=0.45, markeredgewidth=0, **look)
-    links.band(axes, column, links.to_runs(flights, **label), upright=True)
-    low, middle, high = np.quantile(times, (0.25, 0.5, 0.75))
-    axes.plot([column, column], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
-    axes.plot(column, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)
-    axes.annotate(
-        f"{times[-1]:.0f}",
-        (column, times[-1]),
-        (0, 4),
-        textcoords="offset points",
-        ha="center",
-        fontsize=7.5,
-        color=style.INK,
-    )
 
 
 # ---- Fig. 8 of the paper: flight time with redundant processors relative to that with a detector -------------------
@@ -358,7 +306,6 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     calibrations = list(dict.fromkeys(design.calibration for design in designs))
     figure = Figure(figsize=(1.4 + 3.4 * len(vehicles), 3.9), layout="constrained")
     panels = figure.subplots(1, len(vehicles), squeeze=False)[0]
-    names = list(schemes())
     width = 0.7 / len(calibrations)
     from_paper = False
     for axes, vehicle in zip(panels, vehicles, strict=True):
@@ -370,18 +317,18 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
         for design in variants:
             calibration = calibrations.index(design.calibration)
             look = _DESIGN_LOOKS[calibration % len(_DESIGN_LOOKS)]
-            for x, name in enumerate(names):
+            for x, name in enumerate(SCHEMES):
                 _design_mark(axes, design, name, x + (calibration - (len(calibrations) - 1) / 2) * width, top, look)
 
         # those of the paper
-        for x, name in enumerate(names):
+        for x, name in enumerate(SCHEMES):
             printed = paper.figure("redundancy_time", vehicle=vehicle, scheme=name)
             if printed is not None:
                 from_paper = True
                 axes.plot([x - 0.42, x + 0.42], [printed, printed], color=style.PAPER, zorder=5)
                 axes.annotate(f"{printed:.2f}", (x + 0.44, printed), va="center", fontsize=8, color=style.PAPER)
-        axes.set_xticks(range(len(names)), names)
-        axes.set_xlim(-0.5, len(names) - 0.35)
+        axes.set_xticks(range(len(SCHEMES)), list(SCHEMES))
+        axes.set_xlim(-0.5, len(SCHEMES) - 0.35)
         axes.set_ylim(min([1.0, *finite]) - 0.06 * (top - 1.0), top)
         axes.tick_params(axis="x", length=0)
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g} ×")
@@ -415,22 +362,18 @@ def _design_mark(axes: Axes, design: DesignConfig, scheme: str, x: float, top: f
     if math.isinf(high):
         axes.plot(x, top, "^", color=colour, markersize=6, clip_on=False)
     axes.plot(x, min(ratio(design, scheme), top), marker, color=colour, markersize=6)
-    energy = _energy(design, scheme)
-    if math.isfinite(energy):
-        axes.plot(x, energy, marker, color=colour, markersize=6, fillstyle="none")
+    energy_of_scheme = energy(design, scheme)
+    if math.isfinite(energy_of_scheme):
+        axes.plot(x, energy_of_scheme, marker, color=colour, markersize=6, fillstyle="none")
 
 
 def _finite_ratios(designs: Sequence[DesignConfig]) -> list[float]:
     """All ratios of designs with which the vehicle can fly, for the scale of the axis."""
     ratios = []
     for design in designs:
-        for scheme in schemes():
-            ratios += [*band(design, scheme), _energy(design, scheme)]
+        for scheme in SCHEMES:
+            ratios += [*band(design, scheme), energy(design, scheme)]
     return [value for value in ratios if math.isfinite(value)]
-
-
-def _energy(design: DesignConfig, scheme: str) -> float:
-    return energy_ratio(performance(design, *schemes()[scheme]), performance(design, *schemes()[AUTOENCODER]))
 
 
 # ---- Fig. 7: rule-based selection of the runs of a ledger whose paths are drawn, which excludes hand-picking -------
@@ -458,6 +401,11 @@ class PathCase:
     arm: str  # of `recovered`
     inflation: float | None  # relative increase of flight time with the fault; None = the mission failed
     recovered_inflation: float | None
+
+    @property
+    def run_ids(self) -> list[str]:
+        """Ids of its runs."""
+        return [run_id for run_id in (self.golden, self.fault, self.recovered) if run_id]
 
 
 def path_cases(runs: Runs) -> list[PathCase]:
@@ -540,7 +488,7 @@ def trajectories(runs: Runs) -> Figure | None:
     figure = Figure(figsize=(11.0, 0.4 + 3.1 * len(cases)), layout="constrained")
     parts = figure.subfigures(len(cases), 1, squeeze=False)[:, 0]
     for part, case in zip(parts, cases, strict=True):
-        run_ids = [run_id for run_id in (case.golden, case.fault, case.recovered) if run_id in runs.flights]
+        run_ids = [run_id for run_id in case.run_ids if run_id in runs.flights]
         flights = [runs.flights[run_id] for run_id in run_ids]
         grid = part.add_gridspec(1, 2, width_ratios=(1, 1))
         above = part.add_subplot(grid[0, 0])
@@ -604,7 +552,10 @@ def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
         is_near = near_boxes(world, np.concatenate(points))
     faces = []
     for low, high in zip(world.lower[is_near], world.upper[is_near], strict=True):
-        faces += _box_faces(np.maximum(low, lower), np.minimum(high, upper))
+        shown_low = np.maximum(low, lower)
+        shown_high = np.minimum(high, upper)
+        corners = np.array([np.where(np.array(_UPPER) & corner, shown_high, shown_low) for corner in range(8)])
+        faces += [corners[list(face)] for face in _FACES]
     axes.add_collection3d(Poly3DCollection(faces, alpha=0.25, **style.OBSTACLE_LOOK))
 
     # paths, and the injections on them
@@ -624,12 +575,6 @@ def _in_space(axes: Any, flights: Sequence["Flight"]) -> None:
     extent = upper - lower
     axes.set_box_aspect((extent[0], extent[1], 3.0 * extent[2]), zoom=1.2)
     axes.view_init(elev=32, azim=-70)
-
-
-def _box_faces(low: np.ndarray, high: np.ndarray) -> list[np.ndarray]:
-    """Corners of the faces of a box, each of shape (4, 3)."""
-    corners = np.array([np.where(np.array(_UPPER) & corner, high, low) for corner in range(8)])
-    return [corners[list(face)] for face in _FACES]
 
 
 def _limits(flights: Sequence["Flight"]) -> tuple[np.ndarray, np.ndarray]:
@@ -668,11 +613,6 @@ def _ends(case: PathCase, flights: Sequence["Flight"]) -> str:
     return ", ".join(f"{word}: {text}" for word, text in zip(words, ends, strict=False))
 
 
-def _ids(runs: Runs) -> list[str]:
-    cases = path_cases(runs)
-    return [run_id for case in cases for run_id in (case.golden, case.fault, case.recovered) if run_id]
-
-
 def _caption(runs: Runs) -> str:
     cases = path_cases(runs)
     faults = "; ".join(f"{case.stage}: `{case.fault}`" for case in cases)
@@ -700,6 +640,11 @@ CHAPTER = Chapter(
             "Flight time with redundant processors over that with a detector, by the visual performance model; "
             "black: the paper's figure.",
         ),
-        Drawing("trajectories", trajectories, _caption, cases=_ids),
+        Drawing(
+            "trajectories",
+            trajectories,
+            _caption,
+            cases=lambda runs: [run_id for case in path_cases(runs) for run_id in case.run_ids],
+        ),
     ),
 )

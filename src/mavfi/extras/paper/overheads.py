@@ -152,7 +152,7 @@ def cost(
     loop.recompute = count_and_recompute  # type: ignore[method-assign]
 
     # record what the detector checks, for the replay
-    states = loop.taps.watched
+    watched = loop.taps.watched
     publications = list[tuple[State, int]]()
     loop.taps.recorders.append(lambda state, now: publications.append((state, now)))
     meta = loop.fly().log.meta
@@ -162,7 +162,7 @@ def cost(
         raise BadInputError(f"platform {scenario.platform.name}: latency_us: all are 0; allowed: one above 0 at least")
 
     # replay them
-    judged = [(state, now) for state, now in publications if states is None or state.spec.name in states]
+    judged = [(state, now) for state, now in publications if watched is None or state.spec.name in watched]
     seconds_of_kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
     return Cost(
         seconds_of_kernels,

@@ -61,7 +61,7 @@ def program() -> str:
 
 
 def _commit(root: Path) -> str:
-    """The commit of the clone in a folder; "" if it is none."""
+    """The commit of the clone in a folder; "" if the folder is not a clone."""
     if not (root / ".git").exists():
         return ""
     command = ["git", "-C", str(root), "rev-parse", "--short=12", "HEAD"]

@@ -163,21 +163,6 @@ def energy_ratio(slow: Performance, fast: Performance) -> float:
     return time_ratio(slow, fast) * masses * math.sqrt(masses)
 
 
-def at_ends(design: DesignConfig, key: str) -> tuple[DesignConfig | None, DesignConfig | None]:
-    """The design with a parameter at each end of its band; None = cannot hover even with one processor."""
-    band = design.bands[key]
-    designs = [design.model_copy(update={key: value}) for value in (band.low, band.high)]
-    low, high = designs
-    return _if_hovering(low), _if_hovering(high)
-
-
-def _if_hovering(design: DesignConfig) -> DesignConfig | None:
-    """The design, unless it cannot hover with a single processor."""
-    if performance(design).acceleration > 0:
-        return design
-    return None
-
-
 def find_design(name: str) -> DesignConfig:
     """Load a design: a shipped one by name or a file by path; `BadInputError` if it does not exist or is invalid."""
     return shipped("redundancy", DesignConfig, name)
@@ -200,24 +185,43 @@ _WORST = "dense"
 """Environment with the paper's largest detection overheads."""
 
 
-def schemes() -> dict[str, tuple[int, float]]:
-    """Number of processors and compute overhead (from the paper) by scheme; the first scheme is the reference."""
-    overheads = {
-        name: float(paper.figure("overhead", environment=_WORST, setting=f"dr_{name.lower()}"))
+SCHEMES: dict[str, tuple[int, float]] = {
+    **{
+        name: (1, float(paper.figure("overhead", environment=_WORST, setting=f"dr_{name.lower()}")))
         for name in (AUTOENCODER, GAUSSIAN)
-    }
-    return {name: (1, overhead) for name, overhead in overheads.items()} | {DMR: (2, 0.0), TMR: (3, 0.0)}
+    },
+    DMR: (2, 0.0),
+    TMR: (3, 0.0),
+}
+"""Number of processors, and compute overhead (from the paper), by scheme; the first scheme is the reference."""
 
 
 def ratio(design: DesignConfig, scheme: str) -> float:
     """Flight time with a scheme relative to that with the autoencoder."""
-    return time_ratio(performance(design, *schemes()[scheme]), performance(design, *schemes()[AUTOENCODER]))
+    return time_ratio(performance(design, *SCHEMES[scheme]), performance(design, *SCHEMES[AUTOENCODER]))
+
+
+def energy(design: DesignConfig, scheme: str) -> float:
+    """Energy with a scheme relative to that with the autoencoder."""
+    return energy_ratio(performance(design, *SCHEMES[scheme]), performance(design, *SCHEMES[AUTOENCODER]))
+
+
+def ratios_at_ends(design: DesignConfig, key: str, scheme: str) -> list[float | None]:
+    """Ratio with a parameter at each end of its band; None = cannot hover even with one processor."""
+    ratios: list[float | None] = []
+    for value in (design.bands[key].low, design.bands[key].high):
+        end = design.model_copy(update={key: value})
+        if performance(end).acceleration > 0:
+            ratios.append(ratio(end, scheme))
+        else:
+            ratios.append(None)
+    return ratios
 
 
 def band(design: DesignConfig, scheme: str) -> tuple[float, float]:
     """Smallest and largest ratio when each parameter in turn is set to the ends of its band."""
-    ends = [end for key in design.bands for end in at_ends(design, key) if end is not None]
-    ratios = [ratio(end, scheme) for end in (design, *ends)]
+    at_ends = [value for key in design.bands for value in ratios_at_ends(design, key, scheme) if value is not None]
+    ratios = [ratio(design, scheme), *at_ends]
     return min(ratios), max(ratios)
 
 
@@ -230,9 +234,9 @@ def _comparison(designs: Sequence[DesignConfig]) -> Runs:
     """Comparison of schemes: one row per design and scheme."""
     rows = []
     for design in designs:
-        reference = performance(design, *schemes()[AUTOENCODER])
-        for scheme, (copies, overhead) in schemes().items():
-            scheme_performance = performance(design, copies, overhead)
+        reference = performance(design, *SCHEMES[AUTOENCODER])
+        for scheme, processors in SCHEMES.items():
+            scheme_performance = performance(design, *processors)
             low, high = band(design, scheme)
             rows.append(
                 {
@@ -243,10 +247,10 @@ def _comparison(designs: Sequence[DesignConfig]) -> Runs:
                     "mass": 1000 * scheme_performance.mass,
                     "acceleration": scheme_performance.acceleration,
                     "speed": scheme_performance.speed,
-                    "time": time_ratio(scheme_performance, reference),
+                    "time": ratio(design, scheme),
                     "low": low,
                     "high": high,
-                    "energy": energy_ratio(scheme_performance, reference),
+                    "energy": energy(design, scheme),
                     "limited": time_ratio(scheme_performance, reference, SPEED_LIMIT),
                     "paper": paper.figure("redundancy_time", vehicle=design.craft, scheme=scheme),
                     "paper_energy": paper.figure("redundancy_energy", vehicle=design.craft, scheme=scheme),
@@ -260,7 +264,7 @@ def _sensitivity(designs: Sequence[DesignConfig]) -> Runs:
     rows = []
     for design in designs:
         for key, supported in design.bands.items():
-            at_low, at_high = (None if end is None else ratio(end, TMR) for end in at_ends(design, key))
+            at_low, at_high = ratios_at_ends(design, key, TMR)
             rows.append(
                 {
                     "vehicle": design.craft,

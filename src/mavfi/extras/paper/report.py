@@ -159,14 +159,14 @@ def check_names(study: Study, where: str) -> None:
     Raises:
         BadInputError: A name is unknown; `where` identifies the study in the message.
     """
-    known: dict[str, Mapping[str, Any]] = {"views": VIEWS, "figures": FIGURES, "claims": CLAIMS}
+    catalogues: dict[str, Mapping[str, Any]] = {"views": VIEWS, "figures": FIGURES, "claims": CLAIMS}
     for section in study.sections:
         used = {
             "views": section.views,
             "figures": section.figures,
             "claims": (*section.claims, *(name for claims in section.claims_at.values() for name in claims)),
         }
-        for key, allowed in known.items():
+        for key, allowed in catalogues.items():
             for name in used[key]:
                 if dropped_name(key, name):
                     raise BadInputError(f"{where}: section {section.title!r}: {dropped_name(key, name)}")

@@ -184,7 +184,7 @@ def _success_gained(runs: Runs) -> Rate | None:
     if not len(runs):
         return None
     gain = paired_difference(runs["success"], runs["golden_success"], runs["world"])
-    return Rate(len(runs), gain.estimate, gain.low, gain.high)
+    return Rate(len(runs), gain.value, gain.low, gain.high)
 
 
 def _papers_gain(environment: str, setting: str) -> float | None:
@@ -210,23 +210,21 @@ def _costs_title(runs: Runs) -> str:
     return "Differences: success with a fault - success without it"
 
 
-_COSTS = (
-    View(
-        "costs_as_in_the_paper",
-        _costs_title,
-        ("row",),
-        (Measure("here", "here", RATE, _success_gained), paper.column(_papers_gain)),
-        where=_costed,
-        across="environment",
-        headings=("",),
-        notes=lambda runs: (
-            _costs_note(runs),
-            "a loss of golden runs that is independent of the fault cancels out",
-            ONE_FAULT,
-        ),
-        applies=lambda runs: has(runs.injected, setting=FI) and runs.campaign.get("each") in ("stage", "kernel"),
-        by_name=True,
+_COSTS = View(
+    "costs_as_in_the_paper",
+    _costs_title,
+    ("row",),
+    (Measure("here", "here", RATE, _success_gained), paper.column(_papers_gain)),
+    where=_costed,
+    across="environment",
+    headings=("",),
+    notes=lambda runs: (
+        _costs_note(runs),
+        "a loss of golden runs that is independent of the fault cancels out",
+        ONE_FAULT,
     ),
+    applies=lambda runs: has(runs.injected, setting=FI) and runs.campaign.get("each") in ("stage", "kernel"),
+    by_name=True,
 )
 
 
@@ -288,44 +286,40 @@ def _papers(runs: Runs) -> float | None:
     return recovered
 
 
-_FLIGHT_TIMES = (
-    View(
-        "flight_times",
-        "Flight time: worst cases, and what detection and recovery take from them",
-        SETTING,
-        (
-            m.count("n", "n"),
-            m.rate("success", "success %", "success"),
-            *_TIMES[:3],
-            Measure("time_limit", "limit", "number .0f s", lambda runs: runs.frame["time_limit_s"].max()),
-            Measure("cvar_s", "CVaR 5 %", SECONDS, lambda runs: value_at_risk(runs.where("success")["flight_time_s"])),
-            Measure(
-                "cvar_limit_s", "CVaR, failures at the limit", SECONDS, lambda runs: value_at_risk(_censored(runs))
-            ),
-            m.count("pairs", "pairs", "paired"),
-            Measure("p95", "95 % increase", SIGNED, _increase(0.95)),
-            Measure("worst", "worst increase", SIGNED, _increase(1.0)),
-            paper.column(paper.worst_time, "paper's worst", SIGNED),
-            _recovered,
-            Measure(
-                "worst_energy",
-                "worst energy",
-                SIGNED,
-                lambda runs: m.quantile_of(runs.where("paired")["energy_inflation"], 1.0),
-            ),
-            Measure("worst_run", "worst run", TEXT, lambda runs: m.worst_run(runs.where("paired")), hidden=True),
+_FLIGHT_TIMES = View(
+    "flight_times",
+    "Flight time: worst cases, and what detection and recovery take from them",
+    SETTING,
+    (
+        m.count("n", "n"),
+        m.rate("success", "success %", "success"),
+        *_TIMES[:3],
+        Measure("time_limit", "limit", "number .0f s", lambda runs: runs.frame["time_limit_s"].max()),
+        Measure("cvar_s", "CVaR 5 %", SECONDS, lambda runs: value_at_risk(runs.where("success")["flight_time_s"])),
+        Measure("cvar_limit_s", "CVaR, failures at the limit", SECONDS, lambda runs: value_at_risk(_censored(runs))),
+        m.count("pairs", "pairs", "paired"),
+        Measure("p95", "95 % increase", SIGNED, _increase(0.95)),
+        Measure("worst", "worst increase", SIGNED, _increase(1.0)),
+        paper.column(paper.worst_time, "paper's worst", SIGNED),
+        _recovered,
+        Measure(
+            "worst_energy",
+            "worst energy",
+            SIGNED,
+            lambda runs: m.quantile_of(runs.where("paired")["energy_inflation"], 1.0),
         ),
-        where=distribution,
-        applies=lambda runs: of_values(runs) or has(runs.injected, level=INSTRUCTION),
-        notes=lambda _: (
-            "flight times of missions that succeed; CVaR 5 %: mean of the slowest 5 % of them, and of all missions "
-            "with failures at the time limit, which bounds every worst case",
-            "increase: flight time / that of the golden run of the same world - 1, on pairs that succeed in all "
-            "settings, faults in the leading bits; recovered by: the increase with the fault less that with the "
-            "detector, in percentage points, as the paper counts; a maximum grows with n: compare it at equal n",
-            f"{CONTRAST}; of a maximum the interval is too narrow, since no sample is worse than the flown ones",
-            ONE_FAULT,
-        ),
+        Measure("worst_run", "worst run", TEXT, lambda runs: m.worst_run(runs.where("paired")), hidden=True),
+    ),
+    where=distribution,
+    applies=lambda runs: of_values(runs) or has(runs.injected, level=INSTRUCTION),
+    notes=lambda _: (
+        "flight times of missions that succeed; CVaR 5 %: mean of the slowest 5 % of them, and of all missions "
+        "with failures at the time limit, which bounds every worst case",
+        "increase: flight time / that of the golden run of the same world - 1, on pairs that succeed in all "
+        "settings, faults in the leading bits; recovered by: the increase with the fault less that with the "
+        "detector, in percentage points, as the paper counts; a maximum grows with n: compare it at equal n",
+        f"{CONTRAST}; of a maximum the interval is too narrow, since no sample is worse than the flown ones",
+        ONE_FAULT,
     ),
 )
 
@@ -373,27 +367,36 @@ def _power(runs: Runs) -> float | None:
     return None
 
 
-def _on_platform(quantity: str, setting: str = GOLDEN) -> Callable[[Runs], Any]:
-    """A value of the paper's table, shown in the rows of one setting."""
-
-    def of(runs: Runs) -> Any:
-        if runs.first("setting") != setting or not paper.comparable(runs):
-            return None
-        return paper.figure("platforms", quantity=quantity, platform=_platform(runs))
-
-    return of
+def _printed(runs: Runs, quantity: str) -> Any:
+    """A value of the paper's table, which stands beside golden flights; None beside others."""
+    if runs.first("setting") != GOLDEN or not paper.comparable(runs):
+        return None
+    return paper.figure("platforms", quantity=quantity, platform=platforms(runs).get(runs.first("environment"), ""))
 
 
-def _platform(runs: Runs) -> str:
-    return platforms(runs).get(runs.first("environment"), "")
+def _printed_energy(runs: Runs) -> float | None:
+    """Energy of the paper's flights (J)."""
+    kilojoule = _printed(runs, "energy_kj")
+    if kilojoule is None:
+        return None
+    return float(1000 * kilojoule)
 
 
-def _papers_power(runs: Runs) -> float | None:
-    time = _on_platform("flight_time_s")(runs)
-    energy = _on_platform("energy_kj")(runs)
+def _printed_power(runs: Runs) -> float | None:
+    """Mean power of the paper's flights (W)."""
+    time = _printed(runs, "flight_time_s")
+    energy = _printed_energy(runs)
     if time and energy:
-        return float(1000 * energy / time)
+        return float(energy / time)
     return None
+
+
+def _printed_processor(runs: Runs) -> str | None:
+    """Power of the paper's processor."""
+    power = _printed(runs, "power_w")
+    if power is None:
+        return None
+    return f"{power} W"
 
 
 def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
@@ -493,61 +496,34 @@ def _platforms_title(runs: Runs) -> str:
     return "Computing platforms: flights that succeed"
 
 
-CHAPTER = Chapter(
-    80,
+_PLATFORMS = View(
+    "platforms",
+    _platforms_title,
+    ("environment", "setting"),
     (
-        *_COSTS,
-        *_EFFECTS,
-        *_FLIGHT_TIMES,
-        View(
-            "platforms",
-            _platforms_title,
-            ("environment", "setting"),
-            (
-                m.count("n", "flights"),
-                Measure("median_s", "median time", _SECONDS, _median),
-                Measure("worst_s", "worst time", _SECONDS, _worst),
-                paper.beside(Measure("paper_s", "paper", _SECONDS, _on_platform("flight_time_s"))),
-                m.median("energy_j", "median energy", _KJ),
-                paper.beside(Measure("paper_kj", "paper", _KJ, lambda runs: _kilo(_on_platform("energy_kj")(runs)))),
-                Measure("power_w", "power", "number .0f W", _power),
-                paper.beside(Measure("paper_w", "paper", "number .0f W", _papers_power)),
-                _against_first,
-                paper.beside(
-                    Measure(
-                        "paper_processor",
-                        "paper: processor",
-                        "text",
-                        lambda runs: _watts(_on_platform("power_w")(runs)),
-                    )
-                ),
-            ),
-            where=compared,
-            headings=("platform", "setting"),
-            notes=lambda runs: (
-                "recovered: of the worst flight time with a fault beyond the worst golden one, the share that "
-                "the detector "
-                "takes away; ratios: to the same setting on the first platform",
-                f"{CONTRAST} (platforms of a ratio, detector and none of recovered); of a worst case the "
-                f"interval is too "
-                "narrow, since no sample is worse than the flown ones",
-                *_explanation(runs),
-                "latencies are modelled; power is that of the rotors, the processor's is not in it",
-                ONE_FAULT,
-            ),
-            applies=lambda runs: bool(platforms(runs)),
-        ),
+        m.count("n", "flights"),
+        Measure("median_s", "median time", _SECONDS, _median),
+        Measure("worst_s", "worst time", _SECONDS, _worst),
+        paper.beside(Measure("paper_s", "paper", _SECONDS, lambda runs: _printed(runs, "flight_time_s"))),
+        m.median("energy_j", "median energy", _KJ),
+        paper.beside(Measure("paper_kj", "paper", _KJ, _printed_energy)),
+        Measure("power_w", "power", "number .0f W", _power),
+        paper.beside(Measure("paper_w", "paper", "number .0f W", _printed_power)),
+        _against_first,
+        paper.beside(Measure("paper_processor", "paper: processor", "text", _printed_processor)),
     ),
+    where=compared,
+    headings=("platform", "setting"),
+    notes=lambda runs: (
+        "recovered: of the worst flight time with a fault beyond the worst golden one, the share that the detector "
+        "takes away; ratios: to the same setting on the first platform",
+        f"{CONTRAST} (platforms of a ratio, detector and none of recovered); of a worst case the interval is too "
+        "narrow, since no sample is worse than the flown ones",
+        *_explanation(runs),
+        "latencies are modelled; power is that of the rotors, the processor's is not in it",
+        ONE_FAULT,
+    ),
+    applies=lambda runs: bool(platforms(runs)),
 )
 
-
-def _kilo(kilojoule: float | None) -> float | None:
-    if kilojoule is None:
-        return None
-    return 1000 * kilojoule
-
-
-def _watts(text: str | None) -> str | None:
-    if text is None:
-        return None
-    return f"{text} W"
+CHAPTER = Chapter(80, (_COSTS, *_EFFECTS, _FLIGHT_TIMES, _PLATFORMS))

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MavfiError, naming_extra
 
 if TYPE_CHECKING:
     from mavfi.faults.fault import RegisterFault
@@ -55,6 +55,8 @@ def inject(
         raise BadInputError(f"pid: {pid}: allowed: the number of a running process")
     from mavfi.extras.registers.target import check_target
 
+    with naming_extra("faults in registers"):  # the tracer's packages: a missing one would only end that process
+        from mavfi.extras.registers import addresses, registers  # noqa: F401
     check_target(pid, os.getpid())
     order = {"pid": pid, "fault": fault.to_json(), "count": count, "tool": os.getpid()}
     injections: list[Injection] = []

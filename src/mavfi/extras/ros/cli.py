@@ -99,7 +99,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     middleware.require()
 
     # plan the flight, and check that its nodes exist
-    setup, label, _ = watched(mission, detector, profile, models)
+    setup = watched(mission, detector, profile, models)
     plan = FlightPlan(
         middleware,
         setup.scenario,
@@ -115,7 +115,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     # fly, and show
     with stoppable("Stopped; every process of the flight has ended."):
-        result, flight = _fly(plan, label, allow_bind_all, quiet=as_json)
+        result, flight = _fly(plan, setup.label, allow_bind_all, quiet=as_json)
     _show(plan, result, flight, as_json, save)
 
 

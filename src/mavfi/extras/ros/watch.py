@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.foreign import foreign_state
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.logs.recording import LogRecording
 from mavfi.extras.logs.selection import Wanted, select
 from mavfi.extras.logs.watch import LogWatch
 from mavfi.extras.ros.ros2.graph import absolute
 from mavfi.extras.ros.ros2.listener import GraphListener
-from mavfi.faults.levels.message.definition import Definition
-from mavfi.flight.log_readers import LoggedMessage, open_flight_log
+from mavfi.extras.shared.foreign import foreign_state
+from mavfi.extras.shared.log_readers import LoggedMessage, open_flight_log
+from mavfi.extras.shared.message_definition import Definition
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,7 +25,7 @@ from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.serve import pages
 from mavfi.extras.serve.flights import FlownPage, RequestedFlights, RunKey
-from mavfi.extras.serve.ledgers import ReadLedger, ServedLedger, find_ledgers
+from mavfi.extras.serve.ledgers import ServedLedger, find_ledgers
 
 T = TypeVar("T")
 HOST = "127.0.0.1"
@@ -68,19 +67,6 @@ class _TokenMiddleware(BaseHTTPMiddleware):
         return text is not None and secrets.compare_digest(text.encode(), self._token.encode())
 
 
-@dataclass(frozen=True)
-class _NamedLedger:
-    """The ledger that a request names.
-
-    Attributes:
-        key: Its name on pages: its path relative to the served folder.
-        ledger: The ledger.
-    """
-
-    key: str
-    ledger: ServedLedger
-
-
 class _Site:
     """Answers of the application.
 
@@ -98,15 +84,15 @@ class _Site:
         """The ledgers that are in the folder now, by name."""
         directories = find_ledgers(self._folder)
         self._ledgers = {
-            key: self._ledgers.get(key) or ServedLedger(directory) for key, directory in directories.items()
+            key: self._ledgers.get(key) or ServedLedger(directory, key) for key, directory in directories.items()
         }
         return self._ledgers
 
-    def _find(self, key: str) -> _NamedLedger:
+    def _find(self, key: str) -> ServedLedger:
         ledger = self._ledgers.get(key) or self.ledgers().get(key)
         if ledger is None:
             raise HTTPException(404, f"no campaign {key!r} in {self._folder}")
-        return _NamedLedger(key, ledger)
+        return ledger
 
     async def overview(self, request: Request) -> Response:
         """All campaigns, with the headline of each; that of the only one is its own page."""
@@ -117,32 +103,33 @@ class _Site:
 
     async def row(self, request: Request) -> Response:
         """The row of a campaign in the overview."""
-        named = self._find(request.path_params["key"])
-        return HTMLResponse(await _in_thread(_row, named))
+        ledger = self._find(request.path_params["key"])
+        return HTMLResponse(await _in_thread(_row, ledger))
 
     async def campaign(self, request: Request) -> Response:
         """The page of a campaign; before its ledger is read, one that says so and asks again."""
-        named = self._find(request.path_params["key"])
-        if named.ledger.last_read is None and _WAITS not in request.headers:
-            return HTMLResponse(pages.reading(self._folder, named.key))
-        others = [key for key in await _in_thread(self.ledgers) if key != named.key]
-        return HTMLResponse(await _in_thread(_campaign, self._folder, named, others))
+        ledger = self._find(request.path_params["key"])
+        if ledger.last_read is None and _WAITS not in request.headers:
+            return HTMLResponse(pages.reading(self._folder, ledger.key))
+        others = [key for key in await _in_thread(self.ledgers) if key != ledger.key]
+        return HTMLResponse(await _in_thread(_campaign, self._folder, ledger, others))
 
     async def state(self, request: Request) -> Response:
         """Stamp and progress of a campaign, which its page asks for while it is open."""
-        named = self._find(request.path_params["key"])
-        return JSONResponse(await _in_thread(_state, named))
+        ledger = self._find(request.path_params["key"])
+        return JSONResponse(await _in_thread(_state, ledger))
 
     async def flight(self, request: Request) -> Response:
         """The page of a run as JSON, after flying it; 422 = it cannot be flown, and why."""
-        named = self._find(request.path_params["key"])
+        ledger = self._find(request.path_params["key"])
         run_id = request.query_params.get("run", "")
-        read = named.ledger.last_read
+        read = ledger.last_read
         if read is None or run_id not in read.report.runs.records:
-            read = await _in_thread(named.ledger.read)
-        if run_id not in read.report.runs.records:
-            raise HTTPException(404, f"no run {run_id!r} in {named.ledger.directory}")
-        key = _run_key(named.ledger.directory, read, run_id)
+            read = await _in_thread(ledger.read)
+        runs = read.report.runs
+        if run_id not in runs.records:
+            raise HTTPException(404, f"no run {run_id!r} in {ledger.directory}")
+        key = RunKey(ledger.directory, run_id, runs.records[run_id].digest, partner(runs.frame, run_id))
         try:
             # shielded: others may wait for the same flight
             page = await asyncio.shield(asyncio.wrap_future(self._flights.page(key)))
@@ -155,9 +142,8 @@ class _Site:
 
     async def compare(self, request: Request) -> Response:
         """Two campaigns side by side."""
-        keys = [request.query_params.get("first", ""), request.query_params.get("second", "")]
-        named = [self._find(key) for key in keys]
-        return HTMLResponse(await _in_thread(_compare, self._folder, named))
+        ledgers = [self._find(request.query_params.get(name, "")) for name in ("first", "second")]
+        return HTMLResponse(await _in_thread(_compare, self._folder, ledgers))
 
 
 async def _in_thread(function: Callable[..., T], *arguments: object) -> T:
@@ -174,21 +160,21 @@ async def _in_thread(function: Callable[..., T], *arguments: object) -> T:
     return await asyncio.wrap_future(result)
 
 
-def _row(named: _NamedLedger) -> str:
+def _row(ledger: ServedLedger) -> str:
     try:
-        return pages.overview_row(named.ledger.pace(), named.ledger.read().answer)
+        return pages.overview_row(ledger.pace(), ledger.read().answer)
     except MavfiError as error:
         return pages.refused_row(str(error))
 
 
-def _campaign(folder: Path, named: _NamedLedger, others: Sequence[str]) -> str:
-    return pages.campaign(folder, named.key, named.ledger.pace(), named.ledger.read(), others)
+def _campaign(folder: Path, ledger: ServedLedger, others: Sequence[str]) -> str:
+    return pages.campaign(folder, ledger.key, ledger.pace(), ledger.read(), others)
 
 
-def _state(named: _NamedLedger) -> dict[str, Any]:
-    pace = named.ledger.pace()
+def _state(ledger: ServedLedger) -> dict[str, Any]:
+    pace = ledger.pace()
     return {
-        "stamp": pages.stamp_text(named.ledger.stamp()),
+        "stamp": pages.stamp_text(ledger.stamp()),
         "running": pace.running,
         "complete": pace.status.complete,
         "done": pace.status.done,
@@ -197,14 +183,9 @@ def _state(named: _NamedLedger) -> dict[str, Any]:
     }
 
 
-def _compare(folder: Path, named: Sequence[_NamedLedger]) -> str:
-    columns = [pages.ComparedCampaign(entry.key, entry.ledger.pace(), entry.ledger.read()) for entry in named]
+def _compare(folder: Path, ledgers: Sequence[ServedLedger]) -> str:
+    columns = [pages.ComparedCampaign(ledger.key, ledger.pace(), ledger.read()) for ledger in ledgers]
     return pages.compare(folder, columns)
-
-
-def _run_key(directory: Path, read: ReadLedger, run_id: str) -> RunKey:
-    runs = read.report.runs
-    return RunKey(directory, run_id, runs.records[run_id].digest, partner(runs.frame, run_id))
 
 
 def _refused(request: Request, error: Exception) -> Response:

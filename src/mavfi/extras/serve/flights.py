@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mavfi.report.html.flight_page import FlightPage
 
 MAX_FLIGHTS = 200
-"""RequestedFlights that are kept in memory, of about 100 kB each; those used last."""
+"""Largest number of flights whose pages are kept in memory, about 100 kB each; those used last are kept."""
 
 
 class RunKey(NamedTuple):

@@ -21,11 +21,11 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.campaign.ledger import Status, status_of
 from mavfi.campaign.store import FILE, LOCK, Store, connect
-from mavfi.cli.progress import duration, speed
 from mavfi.errors import BadInputError
 from mavfi.files import is_file
 from mavfi.report.campaign_report import CampaignReport, report_of
 from mavfi.report.html.report_page import ReportedCampaign, page_values, sections_of
+from mavfi.report.progress import duration, speed
 
 MAX_DEPTH = 4
 """Deepest folder in which ledgers are searched."""
@@ -137,13 +137,15 @@ class ServedLedger:
 
     Args:
         directory: Its folder.
+        key: Its name on pages: its path relative to the served folder.
 
     Attributes:
         last_read: Result of the last call of `read`, which takes seconds for thousands of runs; None = not called yet.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, key: str = "") -> None:
         self.directory = directory
+        self.key = key
         self.last_read: ReadLedger | None = None
         self._read_until = 0.0
         self._read_duration_s = 0.0

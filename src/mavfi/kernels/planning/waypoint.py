@@ -10,9 +10,6 @@ import numpy as np
 
 from mavfi.numerics.jit import kernel_jit
 
-CLOCK_WIDTH = 3
-"""Memory of the governed rule: position on the trajectory (points), clock rate, its rate of change (1/s)."""
-
 
 @kernel_jit
 def advance_index(points: np.ndarray, index: int, remaining: float, waypoint: np.ndarray) -> int:
@@ -72,7 +69,7 @@ def advance_clock(
     the speed never falls below `creep`, or a voxel that the camera never observes would stop the vehicle for ever.
 
     Args:
-        clock: Memory, see `CLOCK_WIDTH`; changed. Shape (3,).
+        clock: Memory: position on the trajectory (points), clock rate, its rate of change (1/s); changed. Shape (3,).
         points: Trajectory, one point per control period. Shape (n, 11).
         arc: Arc length of each point (m). Shape (n,).
         dt: Control period (s).

@@ -14,7 +14,6 @@ from mavfi.campaign.divergence import TimedState, departure, first_difference, s
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation, flight_again, fly_recorded
 from mavfi.campaign.store import Store
-from mavfi.errors import write_text
 from mavfi.faults.fault import Fault
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.host import ArmSetup, Flight
@@ -85,17 +84,13 @@ def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict
         if path["fault"] is not None:  # the same instant in all flights with the fault
             published = {course.role: course.published for course in courses}
             data["fault"] = path["fault"]
-            data["lines"] = time_lines(published, path["fault"], site, _first_wrong_field(courses))
+            # what differs first in the output of the injected kernel, if one was injected
+            effects = (course.log.kernel for course in courses if course.log.kernel is not None)
+            wrong_fields = [published_field(effect.first_difference) for effect in effects if effect.first_difference]
+            wrong_field = next(iter(wrong_fields), "")
+            data["lines"] = time_lines(published, path["fault"], site, wrong_field)
             break
     return data
-
-
-def _first_wrong_field(courses: Sequence[Course]) -> str:
-    """The first field that differs in the output of the injected kernel; "" = none, or no kernel was injected."""
-    for course in courses:
-        if course.log.kernel is not None and course.log.kernel.first_difference:
-            return published_field(course.log.kernel.first_difference)
-    return ""
 
 
 def course_data(course: Course) -> dict[str, Any]:
@@ -204,8 +199,7 @@ class FlightPage:
 
 def write_flight_page(path: Path, flight: FlightPage) -> Path:
     """Write the page of one flight; `BadInputError` if the file cannot be written."""
-    write_text(path, rendered_flight_page(flight))
-    return path
+    return page.write(path, "flight.html.j2", flight=flight.to_json())
 
 
 def rendered_flight_page(flight: FlightPage) -> str:
@@ -338,15 +332,15 @@ def fly_command(
     if detector != "none":
         options["detector"] = detector
     options |= {"profile": profile, "models": models}
-    words = [f"--{name.replace('_', '-')} {_word(value)}" for name, value in options.items() if value is not None]
-    return " ".join(["mavfi fly", *words])
-
-
-def _word(value: object) -> str:
-    """The value of an option, as words for a shell."""
-    if isinstance(value, (list, tuple)):
-        return " ".join(map(str, value))
-    return shlex.quote(str(value))
+    words = ["mavfi fly"]
+    for name, value in options.items():
+        if value is None:
+            continue
+        text = shlex.quote(str(value))
+        if isinstance(value, (list, tuple)):
+            text = " ".join(map(str, value))
+        words.append(f"--{name.replace('_', '-')} {text}")
+    return " ".join(words)
 
 
 # ---- time lines of published fields around a fault: the most affected fields, and their samples --------------------

@@ -3,7 +3,6 @@
 import base64
 import json
 import re
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from mavfi.errors import write_text
 from mavfi.record import plain
 from mavfi.version import __version__
 
@@ -65,6 +65,7 @@ def render(template: str, /, *folders: Path, **values: Any) -> str:
     return _environment(*folders).get_template(template).render(**values)
 
 
-def size_of(data: Sequence[Any] | dict[str, Any]) -> int:
-    """Size of plain data in a page (bytes)."""
-    return len(as_json(data).encode())
+def write(path: Path, template: str, /, *folders: Path, **values: Any) -> Path:
+    """Render a page, and write it; `BadInputError` if the file cannot be written."""
+    write_text(path, render(template, *folders, **values))
+    return path

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from mavfi.analysis.listing import ordered, partner
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import TEXT, Table
-from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.config import load_campaign
 from mavfi.campaign.ledger import stored_campaign
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, write_text
@@ -90,11 +90,16 @@ def _ranges(numbers: Sequence[int]) -> str:
 def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
     """Headings, rows of cells (text, interval, link), notes and CSV of a table."""
     shown = [index for index, column in enumerate(table.columns) if not column.hidden]
-    kinds = {index: _kind(table, index) for index in shown}
-    columns = [
-        {"heading": table.columns[index].heading, "kind": kinds[index], "prose": _is_prose(table, index)}
-        for index in shown
-    ]
+    # "key" identifies the row and has no links; "text" and "number" are aligned left and right
+    kinds = {}
+    columns = []
+    for index in shown:
+        kinds[index] = "text" if table.columns[index].form == TEXT else "number"
+        if index < table.keys:
+            kinds[index] = "key"
+        # columns with sentences wrap
+        is_prose = any(isinstance(row[index], str) and len(row[index]) > MAX_NAME_LENGTH for row in table.rows)
+        columns.append({"heading": table.columns[index].heading, "kind": kinds[index], "prose": is_prose})
     # cells with the runs behind them; those of a table without runs have no links
     behind = table.behind or [((),) * len(table.columns)] * len(table.rows)
     rows: list[dict[str, Any]] = []
@@ -105,7 +110,9 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
             text = cell(row[index], table.columns[index].form)
             if table.columns[index].key in _SETTINGS:
                 text = setting_label(text)
-            value, interval = _split(text)
+            # a rate is split into its value and the rest: interval and n
+            rate = _INTERVAL.match(text)
+            value, interval = rate.groups() if rate else (text, "")
             link = ""
             if kinds[index] != "key" and text not in ("", ABSENT):
                 link = sets.link(run_ids[index])
@@ -120,28 +127,6 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
         "notes": table.notes,
         "csv": table.to_csv(),
     }
-
-
-def _kind(table: Table, index: int) -> str:
-    """Kind of a column: "key" identifies the row and has no links; "text" and "number" are aligned left and right."""
-    if index < table.keys:
-        return "key"
-    if table.columns[index].form == TEXT:
-        return "text"
-    return "number"
-
-
-def _is_prose(table: Table, index: int) -> bool:
-    """Whether a column holds sentences, which wrap."""
-    return any(isinstance(row[index], str) and len(row[index]) > MAX_NAME_LENGTH for row in table.rows)
-
-
-def _split(text: str) -> tuple[str, str]:
-    """Split the text of a rate into the value and the rest (interval and n)."""
-    match = _INTERVAL.match(text)
-    if match is None:
-        return text, ""
-    return match[1], match[2]
 
 
 # ---- runs, stored by column; text columns are dictionary-encoded -----------------------------------------------------
@@ -189,15 +174,12 @@ def _coded(column: pl.Series) -> dict[str, Any]:
 
 def _rounded(column: pl.Series, digits: int) -> list[float | None]:
     """Numbers with at most so many decimals; with 0 decimals, integers."""
-
-    def rounded(value: float | None) -> float | None:
-        if value is None:
-            return None
-        if digits == 0:
-            return int(value)
-        return round(value, digits)
-
-    return [rounded(value) for value in column]
+    numbers: list[float | None] = []
+    for value in column:
+        if value is not None:
+            value = round(value, digits) if digits else int(value)
+        numbers.append(value)
+    return numbers
 
 
 # ---- figures as inline SVG: text remains text, colours follow the theme, points link to their runs -------------------
@@ -234,7 +216,12 @@ def svg_of(figure: Figure, name: str, caption: str, sets: RunSets) -> Markup:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     # groups of dots: matplotlib has stored their run ids in the only attribute that it offers, `id`
-    text = re.sub(rf'\bid="{links.DOTS}([^"]*)"', lambda dots: _dots(dots[1].split(), sets), text)
+    # the scripts open the run of the dot that is clicked
+    text = re.sub(
+        rf'\bid="{links.DOTS}([^"]*)"',
+        lambda dots: f'class="dots" data-runs="{sets.ordered(dots[1].split())}"',
+        text,
+    )
     # ids, and references to them, get the prefix: all figures of a page share one name space; links to runs stay
     text = re.sub(r'(\bid="|url\(#|href="#)(?!runs\?|run/)', rf"\g<1>{name}-", text)
     # colours become variables of the style sheet, which has one value for each theme
@@ -248,11 +235,6 @@ def svg_of(figure: Figure, name: str, caption: str, sets: RunSets) -> Markup:
     # screen readers announce the caption, then the links within
     label = escape(caption, quote=True)
     return Markup(text.replace("<svg ", f'<svg role="group" aria-label="{label}" ', 1))  # noqa: S704 - from matplotlib
-
-
-def _dots(run_ids: Sequence[str], sets: RunSets) -> str:
-    """Attributes of a group of dots: the scripts open the run of the dot that is clicked."""
-    return f'class="dots" data-runs="{sets.ordered(run_ids)}"'
 
 
 def _link(link: str, sets: RunSets) -> str:
@@ -384,7 +366,7 @@ def write_report_page(
     write_text(path, text)  # at once: the flights may take a minute, and may be stopped
     # flights fill what is left of the file
     flight_data = _as_fit(flights, largest - size)
-    write_text(path, page.render("report.html.j2", **values, flights=flight_data))
+    page.write(path, "report.html.j2", **values, flights=flight_data)
     return len(flight_data)
 
 
@@ -610,12 +592,8 @@ def _flying(directory: Path) -> list[tuple[str, str]]:
     except BadInputError:
         return []
     for scale in ("quick", *shipped.scales):
-        if _same(shipped.at_scale(scale), campaign):
+        # the same missions, whatever other scales there are
+        if shipped.at_scale(scale).model_copy(update={"scales": campaign.scales}) == campaign:
             command = f"mavfi campaign run {campaign.name} --scale {scale} --out {directory}"
             return [("Fly the campaign, or what is left of it", command)]
     return []
-
-
-def _same(first: Campaign, second: Campaign) -> bool:
-    """Whether two campaigns fly the same missions, ignoring their alternative scales."""
-    return first.model_dump(exclude={"scales"}) == second.model_dump(exclude={"scales"})

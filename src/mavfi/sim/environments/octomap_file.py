@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from mavfi.config import Vector
 from mavfi.errors import BadInputError
@@ -163,6 +162,8 @@ def _flight_box(voxels: Voxels, ends: np.ndarray, band: float) -> tuple[np.ndarr
 
 def _is_passable(voxels: Voxels, ends: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether a sphere can move from near the start to near the goal with its centre inside a box."""
+    from scipy import ndimage  # in the extra `report`
+
     first = np.floor((lower - voxels.origin) / voxels.resolution).astype(int)
     last = np.ceil((upper - voxels.origin) / voxels.resolution).astype(int)
     reach = math.ceil(_PASSAGE / voxels.resolution) + 1

@@ -84,7 +84,7 @@ def build_world(
 
 
 def _check_boxes(source: str, world: World) -> None:
-    """Raise a BadInputError for boxes that are none."""
+    """Raise a BadInputError unless each pair of corners spans a box."""
     lower, upper = world.lower, world.upper
     if lower.shape != upper.shape or lower.shape[1:] != (3,):
         raise BadInputError(f"{source}: boxes of shapes {lower.shape} and {upper.shape}; allowed: (n, 3) both")

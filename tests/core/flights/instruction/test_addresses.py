@@ -8,7 +8,7 @@ from dataclasses import asdict
 import pytest
 
 from mavfi.flight.compose import resolve
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import code_folder

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mavfi.flight.forks import Output, first_difference
+from mavfi.flight.instruction_cases import Output, first_difference
 
 SIGNALLING = np.array([0x7FA00000], np.uint32).view(np.float32)[0]
 

@@ -6,12 +6,15 @@ from functools import cache
 import pytest
 
 from mavfi.faults.fault import NO_SITE, InstructionFault
-from mavfi.flight import forks, mission_flights
+from mavfi.flight import from_checkpoints, mission_flights
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.fast_forward import FastForward, FlownArm
+from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_from_checkpoints, fly_instruction_faults
+from mavfi.flight.from_checkpoints import fly_from_checkpoints
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
+from mavfi.flight.known_flights import FlownArm
+from mavfi.flight.loop import Loop
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from tests.core.flights.missions import FAR_GOAL, Scripted, mission
@@ -95,7 +98,7 @@ def test_instructions_are_counted_and_resolved_in_the_flight_that_takes_checkpoi
     alone = draw_instruction_faults(scenario(), request, "test", seed=4)
     flights = LocalHost().mission({"": ArmSetup(scenario())})
     monkeypatch.setattr(mission_flights, "fly", None)
-    monkeypatch.setattr(mission_flights, "fly_until", None)
+    monkeypatch.setattr(Loop, "fly_until", None)
     shared = draw_instruction_faults(scenario(), request, "test", seed=4, flights=flights)
     assert (shared.faults, shared.counts) == (alone.faults, alone.counts)
     assert shared.golden.record() == alone.golden.record()
@@ -107,7 +110,7 @@ def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatc
     reading = [drawn[8], drawn[17], drawn[20]]  # their wrong instructions read it
     fast, slow = both_ways(reading, goal=FAR_GOAL)
     assert fast == slow
-    monkeypatch.setattr(forks, "fill", lambda *_: None)
+    monkeypatch.setattr(from_checkpoints, "fill", lambda *_: None)
     assert both_ways(reading, goal=FAR_GOAL)[0] != slow
 
 

@@ -9,7 +9,7 @@ from mavfi.faults.levels.instruction import Profiling
 from mavfi.flight.compose import resolve
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import FromTakeOff, fly_instruction_faults
+from mavfi.flight.from_take_off import FromTakeOff, fly_instruction_faults
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
@@ -118,7 +118,7 @@ def test_a_recomputation_does_not_take_back_what_a_node_was_sent_when_it_started
     loop = FromTakeOff(scenario(), [], Scripted()).loop
     loop.begin()
     loop.run(until=150)
-    loop.actions["restart fresh"](loop.now, "collision_check")
+    loop.restart(loop.now, "collision_check", "fresh")
     kernel = loop.kernels["collision_check"]
     cells = kernel.clearance_map.cells.copy()
     assert len(np.unique(cells)) > 1, "it knows the map"

@@ -18,8 +18,9 @@ from mavfi.detectors.preprocess import PROFILES
 from mavfi.detectors.registry import check_kernel, contains
 from mavfi.errors import BadInputError
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.restarts import Restarts
+from mavfi.flight.state import EventKind
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import DETECTORS, new_state
@@ -95,11 +96,12 @@ def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(pol
     loop.taps.recorders[-1](last, 0)
     restarts.detector_dies(watching, 1_000, 500_000)
     assert loop.taps.detector is None
-    queued = [entry[:1] + entry[2:3] for entry in loop.queue]
-    assert queued == ([] if policy == "end" else [(501_000, "detector back")])
+    queued = [event[:1] + event[2:3] for event in loop.state.queue]
+    assert queued == ([] if policy == "end" else [(501_000, EventKind.CALL)])
     assert loop.status is None
-    if loop.queue:
-        loop.actions["detector back"](501_000)
+    if queued:
+        ((_, _, _, (comes_back,)),) = loop.state.queue
+        comes_back(501_000)
         assert loop.taps.detector is tap
         assert int(watching.record["counters"][0, 1]) == 3
 

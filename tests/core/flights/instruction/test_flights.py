@@ -15,7 +15,8 @@ from mavfi.faults.levels.instruction.plan import stratum_of
 from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import Output, first_difference, fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
+from mavfi.flight.instruction_cases import Output, first_difference
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.ir.forked import WILD
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults

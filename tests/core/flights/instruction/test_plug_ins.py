@@ -7,7 +7,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.targets import Targets
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults

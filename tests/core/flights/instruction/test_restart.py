@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from mavfi.flight.compose import resolve
-from mavfi.flight.forks import fly_instruction_faults
+from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 

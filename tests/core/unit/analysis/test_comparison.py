@@ -84,7 +84,7 @@ def test_intervals_of_differences():
     difference = unpaired_difference(
         [True] * 56 + [False] * 14, worlds[:70], [True] * 48 + [False] * 32, range(100, 180)
     )
-    assert tuple(difference) == pytest.approx((0.2, 0.0524, 0.3339), abs=1e-4)
+    assert (difference.value, difference.low, difference.high) == pytest.approx((0.2, 0.0524, 0.3339), abs=1e-4)
     # a ratio that no world differs from has no error, a single world no interval
     exact = relative_difference([2.2, 4.4], [1, 2], [2.0, 4.0], [1, 2])
     assert (exact.rate, exact.low, exact.high) == pytest.approx((0.1, 0.1, 0.1))

@@ -33,7 +33,7 @@ def test_the_first_line_says_whether_flights_work(monkeypatch, capsys):
 
 
 def test_what_is_missing_comes_with_its_cure(monkeypatch, capsys):
-    monkeypatch.setattr(doctor, "_packages_by_extra", lambda: {"bench": ["numpy", "none-such"], "logs": ["numpy"]})
+    monkeypatch.setattr(doctor, "packages_by_extra", lambda: {"bench": ["numpy", "none-such"], "logs": ["numpy"]})
     elsewhere = Check("ROS 2", False, "mavfi ros setup")
     monkeypatch.setattr(doctor, "extensions", lambda group: {"ros": lambda: [elsewhere]})
     code, lines = report(capsys)

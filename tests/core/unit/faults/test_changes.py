@@ -32,8 +32,7 @@ class Queue:
         self.entries = []
         self.order = 0
 
-    def at(self, time_us, action, state):
-        assert action == "transmit"
+    def transmit(self, state, time_us):
         self.order += 1
         heapq.heappush(self.entries, (time_us, self.order, state))
 

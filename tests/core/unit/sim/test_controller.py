@@ -7,7 +7,7 @@ from mavfi.errors import BadInputError
 from mavfi.flight.compose import resolve
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
-from mavfi.flight.forks import FromTakeOff
+from mavfi.flight.from_take_off import FromTakeOff
 from mavfi.mission import MissionSpec
 from mavfi.sim.cascade import Cascade
 from mavfi.sim.engine import GRAVITY

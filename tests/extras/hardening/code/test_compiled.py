@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from mavfi.extras.hardening.compiled import code_of, compiled, copied, text_of
+from mavfi.extras.hardening.compiled import code_of, copied, text_of
 from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.ir.build import translate
 from mavfi.ir.parser import parse_module
@@ -12,6 +12,7 @@ from mavfi.ir.sources import cached_source
 from mavfi.kernels.perception.clearance import OCCUPIED, apply_updates
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid
+from tests.extras.hardening.plans import compiled
 
 
 def arguments():
@@ -47,7 +48,7 @@ def everything(module):
 
 def compiled_apart(module):
     """Functions of a module of which its machine code has the name, since they are not inlined everywhere."""
-    code = code_of(module, text_of(module))
+    code = code_of(module)
     return [function.name for function in module.functions if function.name[1:].encode() in code]
 
 
@@ -73,12 +74,12 @@ def test_functions_of_numba_are_not_inlined():
 
 
 def test_plain_code_is_as_numba_makes_it(module):
-    assert code_of(module, text_of(module)) == translate(text_of(module))
+    assert code_of(module) == translate(text_of(module))
 
 
 def test_protected_code_does_as_the_plain_one(module):
     plain, protected = arguments(), arguments()
-    code, _ = compiled(apply_updates, apply_updates.signatures[-1], everything)
+    code = compiled(apply_updates, apply_updates.signatures[-1], everything)
     assert code(*protected) == apply_updates(*plain) == 5
     for one, other in zip(plain, protected, strict=True):
         np.testing.assert_array_equal(one, other)

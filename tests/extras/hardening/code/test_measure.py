@@ -21,7 +21,7 @@ def test_a_call_repeats_the_kernel_and_reads_the_counter():
     (signature,) = count_up.signatures
     source = cached_source(count_up, signature)
     module = parse_module(source.text, source.kernel)
-    timed = Timed(source, Timed.code_of(source, module), count_up.overloads[signature].environment)
+    timed = Timed(source, module, count_up.overloads[signature].environment)
     ticks = timed.ticks((total,), 7)
     assert total[0] == 8.0 and ticks > 0
     timed.ticks((total,), 1)

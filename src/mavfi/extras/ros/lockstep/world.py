@@ -111,7 +111,7 @@ class Conductor(Listener):
     def after_tick(self, now: int) -> None:
         """Take the image that a lost node did not ask for."""
         loop = self.loop
-        if self.losses and loop.status is None and now - loop.captured_us > CAMERA_PATIENCE_US:
+        if self.losses and loop.status is None and now - loop.state.captured_us > CAMERA_PATIENCE_US:
             loop.capture(now)
 
     def before_end(self) -> None:

@@ -7,7 +7,7 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.ros.ros2.environment import Installation
 from mavfi.extras.ros.ros2.graph import DISCOVERY_S, AgentClient, absolute
 from mavfi.extras.ros.ros2.message_types import TypeLibrary
-from mavfi.faults.levels.message.definition import Definition
+from mavfi.extras.shared.message_definition import Definition
 
 ALARM_TOPIC = "/mavfi/alarm"
 """Where alarms are published, as JSON in the `data` of a std_msgs/String."""

@@ -9,7 +9,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.errors import BadInputError, MavfiError, not_known
-from mavfi.faults.levels.message.definition import Definition
+from mavfi.extras.shared.message_definition import Definition
 from mavfi.faults.operations import Operation, When, check_number_operation
 from mavfi.plugins import reason
 

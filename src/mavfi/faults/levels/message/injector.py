@@ -7,7 +7,7 @@ lost or late.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 from weakref import proxy
 
 from mavfi.faults.fault import MessageFault
@@ -20,8 +20,8 @@ from mavfi.states import State, find_state
 class EventQueue(Protocol):
     """Where publications that arrive later are put; a `flight.loop.Loop`."""
 
-    def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
-        """Schedule an action at an instant (us)."""
+    def transmit(self, state: State, time_us: int) -> None:
+        """Let a publication arrive at an instant (us)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +88,12 @@ class PublicationInjector(RewindableInjector):
     def _delay(self, state: State, time_us: int) -> None:
         """The publication arrives later; others may overtake it."""
         assert self._operation.value is not None  # a delay has one
-        self._queue.at(time_us + round(1e6 * self._operation.value), "transmit", state)
+        self._queue.transmit(state, time_us + round(1e6 * self._operation.value))
 
     def _duplicate(self, state: State, time_us: int) -> State:
         """The publication arrives, and again at the same instant."""
         for _ in range(self._operation.count):
-            self._queue.at(time_us, "transmit", state)
+            self._queue.transmit(state, time_us)
         return state
 
     def _freeze(self, state: State, time_us: int) -> State:
@@ -116,7 +116,7 @@ class PublicationInjector(RewindableInjector):
             if held.remaining > 1:
                 waiting.append(replace(held, remaining=held.remaining - 1))
             else:
-                self._queue.at(time_us, "transmit", held.state)
+                self._queue.transmit(held.state, time_us)
         self._held = tuple(waiting)
 
     # ---- the record -------------------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ from operator import and_
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mavfi.detectors.foreign import Monitor
 from mavfi.errors import BadInputError
 from mavfi.extras.registers import inject
 from mavfi.extras.ros.processes import children
@@ -31,6 +30,7 @@ from mavfi.extras.ros.ros2.stack.config import StackConfig
 from mavfi.extras.ros.ros2.stack.inputs import inputs_of
 from mavfi.extras.ros.ros2.stack.outputs import LOST, Outputs, compare, digest_of, status_of
 from mavfi.extras.ros.ros2.stack.watching import Publication, alarms_of, train
+from mavfi.extras.shared.foreign import Monitor
 from mavfi.faults.fault import Fault, MessageFault, RegisterFault
 from mavfi.outcomes import Effect
 from mavfi.record import AlarmRecord, Injection

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from itertools import islice
 from typing import Any, NamedTuple
 
-from mavfi.detectors import foreign
-from mavfi.detectors.foreign import SMALLEST_SAMPLE, Monitor, NamedNumbers
 from mavfi.extras.ros.ros2.stack.outputs import leaves
+from mavfi.extras.shared import foreign
+from mavfi.extras.shared.foreign import SMALLEST_SAMPLE, Monitor, NamedNumbers
 from mavfi.record import AlarmRecord
 
 _MAX_NUMBERS = 64

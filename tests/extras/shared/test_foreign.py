@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mavfi.detectors.foreign import (
+from mavfi.errors import BadInputError
+from mavfi.extras.shared.foreign import (
     COUNTER,
     QUATERNION,
     Monitor,
@@ -14,7 +15,6 @@ from mavfi.detectors.foreign import (
     recognise,
     train,
 )
-from mavfi.errors import BadInputError
 
 PERIOD_US = 20_000
 TIME = np.arange(0.0, 30.0, 0.02)

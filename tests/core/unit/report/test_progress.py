@@ -1,8 +1,8 @@
 import pytest
 
 from mavfi.campaign.ledger import Progress
-from mavfi.cli import progress
-from mavfi.cli.progress import Bar
+from mavfi.report import progress
+from mavfi.report.progress import Bar
 
 
 @pytest.fixture

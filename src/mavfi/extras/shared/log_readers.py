@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from mavfi.errors import BadInputError, MavfiError, not_known
-from mavfi.faults.levels.message.definition import FORMATS, Leaf
+from mavfi.extras.shared.message_definition import FORMATS, Leaf
 from mavfi.files import check_regular
 from mavfi.plugins import build, known, load_object, reason
 

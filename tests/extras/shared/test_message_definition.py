@@ -8,7 +8,7 @@ import pytest
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.logs.files import Maker
 from mavfi.extras.logs.timeline import Message
-from mavfi.faults.levels.message.definition import AbsentError, Definition, flip_bit, steps
+from mavfi.extras.shared.message_definition import AbsentError, Definition, flip_bit, steps
 
 MAKER = Maker(is_ros1=True)
 STAMP = {"seq": 7, "stamp": {"sec": 5, "nanosec": 6}, "frame_id": "a frame"}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mavfi.numerics.frames import geodetic, local
+from mavfi.extras.shared.frames import geodetic, local
 
 
 def test_geodetic_and_back():

@@ -1,14 +1,16 @@
-"""Progress display: a bar with rate and time left in a terminal, periodic lines elsewhere."""
+"""Progress display: a bar with rate and time left in a terminal, one line in a notebook, periodic lines elsewhere."""
 
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -16,7 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.cli.console import console
+from mavfi.report.console import console
 
 if TYPE_CHECKING:
     from mavfi.analysis.statistics import Rate
@@ -24,7 +26,8 @@ if TYPE_CHECKING:
 
 _LINE_EVERY = 15.0
 """Interval between lines if the output is not a terminal (s)."""
-
+_UPDATE_EVERY = 0.5
+"""Interval between updates of the line in a notebook (s), which keeps up with a few messages a second."""
 
 _NOTICE_EVERY = 3.0
 """Interval between looks for compiled code (s)."""
@@ -36,11 +39,18 @@ class Bar:
     """Progress bar on stderr, counted in units; use as a context manager.
 
     Time left: the rate of the units done since the first one times those that are left.
+
+    Args:
+        label: What is done.
+        unit: What is counted.
+        prints_lines: Whether lines are printed where there is neither a terminal nor a notebook.
     """
 
-    def __init__(self, label: str, unit: str = "flights") -> None:
+    def __init__(self, label: str, unit: str = "flights", *, prints_lines: bool = True) -> None:
         self._unit = unit
+        self._prints_lines = prints_lines
         self._console = console(error=True)
+        self._notebook = _notebook_output()
         self._bar = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=40),
@@ -94,10 +104,8 @@ class Bar:
         if progress.compiling and not progress.flown:
             text = "compiling kernels and flying the first mission ..."
             self._bar.update(self._task, pace=text)
-            line = f"{self._label}: {text}"
-            if not self._console.is_terminal and line != self._last_line:  # campaigns that fly together say it once
-                self._last_line = line
-                self._console.print(line)
+            if not self._console.is_terminal:
+                self._print(f"{self._label}: {text}")  # once, also of campaigns that fly together
             return
         if progress.settings:
             self._live.update(Group(self._bar, run_counts(progress.settings, flies=progress.flies)))
@@ -116,17 +124,39 @@ class Bar:
         self.show(sum(campaign.done for campaign in campaigns), sum(campaign.total for campaign in campaigns))
 
     def _draw(self, done: int, total: int, pace: str) -> None:
-        """Update the bar in a terminal; elsewhere print a line from time to time, and at the end."""
+        """Update the bar in a terminal; elsewhere show a line from time to time, and at the end."""
         counts = f"{done}/{total} {self._unit}"
         if self._console.is_terminal:
             self._bar.update(self._task, completed=done, total=total, counts=counts, pace=pace)
             return
+        interval = _LINE_EVERY
+        line = f"{self._label} {counts}  {pace}"
+        if self._notebook is not None:
+            interval = _UPDATE_EVERY
+            line = f"{self._label}: {done} of {total} {self._unit}  {pace}"
         now = time.perf_counter()
-        line = f"{self._label} {counts}  {pace}".rstrip()
-        if (now - self._last_line_at >= _LINE_EVERY or done == total) and line != self._last_line:
+        if now - self._last_line_at >= interval or done == total:
             self._last_line_at = now
-            self._last_line = line
+            self._print(line.rstrip())
+
+    def _print(self, line: str) -> None:
+        """Print a line, or replace that of a notebook; no line is shown twice."""
+        if line == self._last_line:
+            return
+        if self._notebook is not None:
+            show = self._notebook.update if self._last_line else self._notebook.display
+            show({"text/plain": line}, raw=True)
+        elif self._prints_lines:
             self._console.print(line)
+        self._last_line = line
+
+
+def _notebook_output() -> Any:  # noqa: ANN401 - of IPython
+    """A display of a notebook whose content can be replaced; None outside of notebooks."""
+    ipython = sys.modules.get("IPython")
+    if ipython is None or getattr(ipython.get_ipython(), "kernel", None) is None:
+        return None
+    return import_module("IPython.display").DisplayHandle()
 
 
 class _FunctionsBar(Progress):
@@ -231,7 +261,7 @@ def run_counts(settings: Mapping[str, tuple[int, int, int]], *, flies: bool = Tr
 
     The share of successes has Wilson's interval.
     """
-    from mavfi.analysis.statistics import score_bounds
+    from mavfi.analysis.statistics import wilson
 
     table = _plain_table()
     is_incomplete = any(planned > done for planned, done, _ in settings.values())
@@ -252,8 +282,7 @@ def run_counts(settings: Mapping[str, tuple[int, int, int]], *, flies: bool = Tr
         if flies:
             share = ""
             if done:
-                low, high = score_bounds(success / done, done)
-                share = f"{100 * success / done:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+                share = f"{100 * success / done:.1f} {wilson(success, done).interval}"
             cells += [str(success), Text(share, style="dim")]
         table.add_row(*cells)
     return table
@@ -272,13 +301,10 @@ def effect_counts(effects: Mapping[str, Mapping[str, Rate]]) -> Table:
     for setting, rates in effects.items():
         name = setting
         for effect, rate in rates.items():
-            share = ""
-            if rate.rate is not None and rate.low is not None and rate.high is not None:
-                share = f"{100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
             runs = ""
             if rate.successes is not None:
                 runs = str(rate.successes)
-            table.add_row(name, HEADINGS.get(effect, effect), runs, str(rate.n), share)
+            table.add_row(name, HEADINGS.get(effect, effect), runs, str(rate.n), rate.percent)
             name = ""
     return table
 
