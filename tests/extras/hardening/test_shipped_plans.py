@@ -18,7 +18,7 @@ from mavfi.states import INJECTABLE, PLANNERS
 from tests.campaigns import run_campaign
 from tests.extras.hardening.plans import calls_of_protected_code
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 def mission(plan, **more):
@@ -53,7 +53,6 @@ def test_protected_code_computes_what_plain_code_does_in_a_whole_flight():
 
 
 @pytest.mark.parametrize("name", names("protections"))
-@pytest.mark.long
 def test_each_shipped_plan_is_that_of_the_code(golden, name):
     """Made again by `mavfi harden` after a change of a kernel."""
     plan = load_plan(name)
@@ -69,7 +68,6 @@ def test_each_shipped_plan_is_that_of_the_code(golden, name):
         assert cached_shape(function, signature)[0] == planned.ir_sha256, planned.function
 
 
-@pytest.mark.long
 def test_protection_flies_with_a_detector_and_its_restarts_in_a_campaign(tmp_path):
     shipped = load_campaign("protected").to_json()
     arms = {name: shipped["arms"][name] for name in ("ten_percent", "ten_percent_recommended")}
