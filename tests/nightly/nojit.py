@@ -3,8 +3,7 @@
     python -m tests.nightly.nojit
 
 Numba is switched off (NUMBA_DISABLE_JIT=1).  Machine words then warn where they wrap around, which compiled code does
-in silence, so such warnings are no errors here.  What is done with corrupted numbers (tests/core/unit/kernels) is left
-out: plain Python raises at int(nan), sin(inf) or a division by zero, where IEEE arithmetic gives a value.
+in silence, so such warnings are no errors here.
 """
 
 import os

@@ -193,17 +193,6 @@ def _failure(call, *arguments):
     return plugin_failure(caught.value)
 
 
-def test_an_exception_of_a_plugin_is_one_line_with_its_place(tmp_path, monkeypatch):
-    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    allow_plugins()
-    first, other = load("two_plugins:One")(), load("two_plugins:Other")()
-    assert _failure(first.check, 5).startswith("two_plugins:One: TypeError: the JSON object")
-    assert _failure(first.check, 5).endswith("(two_plugins.py:11, deeper)"), "frames of libraries are their caller's"
-    assert _failure(other.deeper, "}").startswith("two_plugins:Other: JSONDecodeError: Expecting value: line 1")
-
-
 def test_an_exception_of_mavfi_is_none_of_a_plugin(tmp_path, monkeypatch):
     (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
     monkeypatch.chdir(tmp_path)

@@ -137,38 +137,6 @@ periods = st.floats(0, 10, **REAL)
 ranges = st.floats(0.1, 100, **REAL)
 
 
-@st.composite
-def designs(draw):
-    mass, power, per_watt = (
-        draw(st.floats(0.05, 20, **REAL)),
-        draw(st.floats(0.1, 50, **REAL)),
-        draw(st.floats(0, 0.05, **REAL)),
-    )
-    weight = GRAVITY * (mass + 0.085 + power * per_watt)
-    return DesignConfig(
-        name="drawn",
-        mass=mass,
-        max_thrust=draw(st.floats(1.01, 4, **REAL)) * weight,
-        processor_power=power,
-        heatsink=per_watt,
-        action_period=draw(periods),
-        sensing_range=draw(ranges),
-        acceleration=draw(st.sampled_from(["excess_thrust", "tilt"])),
-        replicated=draw(st.sampled_from(["processor", "board"])),
-    )
-
-
-@given(designs(), st.integers(1, 5))
-def test_more_redundancy_never_makes_a_vehicle_lighter_faster_or_cheaper_to_fly(design, copies):
-    few, many = performance(design, copies), performance(design, copies + 1)
-    assert payload(design, copies + 1) >= payload(design, copies)
-    assert many.mass >= few.mass
-    assert many.speed <= few.speed
-    single = performance(design)
-    assert 1 <= time_ratio(few, single) <= time_ratio(many, single)
-    assert energy_ratio(many, single) >= time_ratio(many, single)
-
-
 @given(accelerations, periods, ranges)
 def test_a_vehicle_at_its_safe_speed_stops_within_its_range_and_not_before(acceleration, period, distance):
     speed = safe_speed(acceleration, period, distance)

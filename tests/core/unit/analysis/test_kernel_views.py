@@ -60,16 +60,6 @@ def test_what_kernels_did(kernel_runs):
     assert (planner["n"], planner["masked"].successes, planner["due_kinds"]) == (2, 1, "0 / 1 / 0")
 
 
-def test_which_tables_a_campaign_of_kernels_has(kernel_runs):
-    names = [view.name for view in views_for(kernel_runs)]
-    assert names[0] == "instructions_as_in_the_paper"
-    assert {"kernel_effects", "recovery"} <= set(names)
-    assert not {"success", "by_stage", "outcomes", "register_effects"} & set(names)
-    per_kernel = replace(kernel_runs, campaign={**kernel_runs.campaign, "each": "kernel"})
-    assert views_for(per_kernel)[0].name == "kernels_as_in_the_paper"
-    assert "instructions_as_in_the_paper" not in [view.name for view in views_for(per_kernel)]
-
-
 def test_protected_and_plain_code_are_compared_as_samples():
     plain = [injected(0, silent(), INSTRUCTION), injected(1, died(success=False), INSTRUCTION)]
     assert "kernel_effects_by_setting" not in views_for(runs(golden(0), golden(1), *plain)), "nothing is protected"

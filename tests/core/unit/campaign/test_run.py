@@ -18,8 +18,7 @@ from mavfi.campaign import run as run_module
 from mavfi.campaign.begin import begin
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.ledger import merge, status, stored_campaign
-from mavfi.campaign.plan import Shard
+from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.replay import verify
 from mavfi.campaign.resolve import resolve
 from mavfi.campaign.store import Store
@@ -404,23 +403,6 @@ def test_an_arm_is_added_and_null_runs_take_the_arms_in_turn_as_before(flown, tm
     assert reports[-1].flown == end.total - TOTAL + 2, "one null run in each environment is that of the new arm"
     flown_into(tmp_path / "large", more)
     assert digest(tmp_path / "grown") == digest(tmp_path / "large")
-
-
-def test_an_extended_shard_can_be_merged(tmp_path):
-    def sized(number, **changes):
-        return small(environments=["sparse"], missions=number, faults=number, sampling=ONE_STRATUM, **changes)
-
-    halves = [tmp_path / "1", tmp_path / "2"]
-    for number, half in enumerate(halves, 1):
-        flown_into(half, sized(3), shard=Shard(number, 2))
-        flown_into(half, sized(6), shard=Shard(number, 2), extend=True)
-    with pytest.raises(BadInputError, match="key 'missions': shard 2/2 would have other missions"):
-        flown_into(
-            halves[1], sized(7).model_copy(update={"environments": ("dense", "sparse")}), shard=Shard(2, 2), extend=True
-        )
-    merge(halves, tmp_path / "merged")
-    flown_into(tmp_path / "whole", sized(6, grown=[{"missions": 3, "faults": 3}]))
-    assert digest(tmp_path / "merged") == digest(tmp_path / "whole")
 
 
 def test_what_is_drawn_together_is_extended_by_missions_only():

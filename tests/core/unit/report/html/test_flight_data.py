@@ -8,8 +8,6 @@ from mavfi.campaign.divergence import TimedState
 from mavfi.mission import MissionStatus
 from mavfi.record import AlarmRecord, Injection
 from mavfi.report.html.flight_page import (
-    LINE_SAMPLES,
-    MAX_LINES,
     MAX_VOXELS,
     SAMPLES,
     Course,
@@ -124,14 +122,3 @@ def test_values_that_are_not_finite_can_be_written_as_json():
     injected = waypoints(lambda time_s: values.get(round(time_s, 3), 0.0))
     _, seen = time_lines({"golden": waypoints(), "injected": injected}, AT, SITE)[0]["data"]["injected"]
     assert None in seen and 1e300 in seen
-
-
-def test_there_are_never_more_lines_or_samples_than_fit():
-    generator = np.random.default_rng(1)
-    injected = waypoints(period_us=2000)
-    for publication in injected:
-        for name in publication.state.header.dtype.names:
-            publication.state.header[name] = generator.integers(0, 9)
-    lines = time_lines({"golden": waypoints(period_us=2000), "injected": injected}, AT, SITE)
-    assert len(lines) == MAX_LINES
-    assert len(lines[0]["data"]["golden"][0]) <= LINE_SAMPLES
