@@ -26,6 +26,7 @@ from mavfi.states import DETECTORS, new_state
 from tests.campaigns import run_campaign
 from tests.core.unit.detectors.streams import LIMITS, command
 from tests.core.unit.detectors.test_registry import FITS
+from tests.night import at_night
 
 
 def detector(name, profile="paper"):
@@ -105,9 +106,7 @@ def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(pol
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["gaussian", *(pytest.param(name, marks=pytest.mark.long) for name in ("acceptance", "limits", "checksum"))]
-)
+@pytest.mark.parametrize("name", ["gaussian", *at_night("acceptance", "limits", "checksum")])
 def test_a_flight_continues_whatever_becomes_of_its_detector(name):
     scenario = resolve(MissionSpec(environment="sparse", seed=7, dead_node="readback"))
     watching, _ = detector_for(scenario, name, "paper")

@@ -103,7 +103,7 @@ def test_items_are_handed_over_while_the_mission_continues():
 def test_a_mission_stays_with_its_worker_and_workers_are_used_again():
     results = flat(LocalExecutor(2).map(process, range(8)))
     workers = [{pid for pid in items_of(results, number) if not isinstance(pid, Done)} for number in range(8)]
-    assert all(len(own) == 1 for own in workers)
+    assert all(len(pids) == 1 for pids in workers)
     assert len(set.union(*workers)) == 2
     assert os.getpid() not in set.union(*workers)
 
@@ -173,13 +173,13 @@ def test_a_worker_that_dies_loses_its_mission_only(how, reason):
     missions = [(number, how if number == 2 else None) for number in range(1, 7)]
     results = flat(LocalExecutor(2).map(die, missions))
     for mission in missions:
-        found = items_of(results, mission)
+        items = items_of(results, mission)
         if mission[1] is None:
-            assert found == [mission[0], -mission[0], Done()]
+            assert items == [mission[0], -mission[0], Done()]
         else:
-            assert found[0] == mission[0], "what it gave before is kept"
+            assert items[0] == mission[0], "what it gave before is kept"
             by = reason if isinstance(how, signal.Signals) else ""
-            assert found[1:] == [Lost(f"its worker died ({reason})", died=True, signal=by)]
+            assert items[1:] == [Lost(f"its worker died ({reason})", died=True, signal=by)]
 
 
 def test_a_worker_that_dies_while_it_is_idle_loses_what_it_is_given_next():
