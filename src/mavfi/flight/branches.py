@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.faults.acted_on import CounterWatch
 from mavfi.faults.injector import RewindableInjector
-from mavfi.faults.levels.state_injector import CounterWatch
 from mavfi.flight.checkpoints import Checkpoint, Instant, is_at, put, take
 from mavfi.flight.compose import install
 from mavfi.flight.known_flights import FlownArm, KnownFlight

@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import ForkPoint
-from mavfi.faults.levels.instruction.arena import arena, copy_result
-from mavfi.faults.levels.instruction.plan import DATA, changed_nothing
-from mavfi.faults.levels.instruction.variant import Variant
+from mavfi.faults.fault import CallFault
 from mavfi.flight.instruction_cases import ChildReport, FaultCase, Output, Published
+from mavfi.ir.forked import ForkPoint
+from mavfi.ir.injection.arena import arena, copy_result
+from mavfi.ir.injection.table import DATA
+from mavfi.ir.injection.variant import Variant, changed_nothing
 from mavfi.pipeline.memory import copied, same
 from mavfi.record import FlightLog
 from mavfi.rewriting import rewriter
@@ -46,7 +46,7 @@ class ForkedChild:
     def call(
         self,
         variant: Variant,
-        fault: InstructionFault,
+        fault: CallFault,
         function: Callable[..., Any],
         args: tuple[Any, ...],
         *,

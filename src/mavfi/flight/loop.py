@@ -17,7 +17,7 @@ import numpy as np
 
 from mavfi.config import LocalizationConfig, PlatformConfig
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.state_injector import ActedOn
+from mavfi.faults.acted_on import ActedOn
 from mavfi.flight.decide import SCANNING, Action, Response
 from mavfi.flight.host import Flight
 from mavfi.flight.plant import Plant

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 from weakref import proxy
 
 from mavfi.detectors.detector import Detector
-from mavfi.faults.levels.state_injector import ActedOn
+from mavfi.faults.acted_on import ActedOn
 from mavfi.flight.decide import WAYPOINT
 from mavfi.flight.loop import Loop
 from mavfi.flight.recovery import DetectorTap

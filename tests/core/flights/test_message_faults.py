@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MessageFault
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.levels.level import parse
 from mavfi.levels.message import MessageLevel
+from mavfi.levels.message.fault import MessageFault
 from tests.core.flights.missions import Scripted, golden, mission
 
 

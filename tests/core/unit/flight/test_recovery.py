@@ -134,7 +134,7 @@ def test_an_observer_restarts_no_node_for_it():
 @pytest.mark.parametrize("pause", [1, ALARMS_WITHIN_US // (MAX_ALARMS - 1) + 1])
 def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     flight, detector = Flight(), Always(hard=True)
-    values = [(place * pause, status(5)) for place in range(2 * MAX_ALARMS)]
+    values = [(number * pause, status(5)) for number in range(2 * MAX_ALARMS)]
     shown(detector, ESCALATES, values, flight)
     endless = pause == 1
     assert [kind for _, kind in flight.events] == ([SILENCED] if endless else [])
