@@ -177,7 +177,7 @@ class FastForward(BranchedLoop):
         rows = own_golden.before(fault.time_us)
         start = own_golden.checkpoints[rows]
         branch = FlightBranch(self, arm, start, own_golden, others, own_golden, keeps_checkpoints=keeps_checkpoints)
-        self.loop.taps.injector = start.injector  # the injector continues from its counters
+        # The injector continues from the counters of the golden flight's tap, which the branch has installed.
         injector: Injector = find_level(fault.level).inject(self.loop, fault, None)
         if injector.spent:  # the fault has no site
             branch.append_rest(own_golden, rows)
