@@ -108,7 +108,8 @@ class Fault:
     @property
     def in_detector(self) -> bool:
         """Whether it is in a detector itself, and so in flights with that detector only."""
-        return False
+        role = getattr(self, "role", "")
+        return role == "detector" or (not role and getattr(self, "kernel", "") in DETECTORS)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -209,11 +210,6 @@ class FaultSite:
         if self.element is None:
             return f"{self.state}.{self.field}"
         return f"{self.state}.{self.field}[{self.element}]"
-
-
-def is_detector(kernel: str, role: str) -> bool:
-    """Whether a kernel, or a plug-in of a role, is a detector."""
-    return role == "detector" or (not role and kernel in DETECTORS)
 
 
 @cache
