@@ -210,16 +210,21 @@ def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Success in each of the other populations."""
     for name in population_names(runs, by)[1:]:
-        selection = {"population": name}
-        if name == WHOLE_WORD:  # of all bits
-            selection = {}
-        yield Measure(
-            f"success_{name}",
-            POPULATIONS.get(name, name),
-            RATE,
-            lambda group, name=name: rates_by_population(group, "success").get(name),
-            counted=lambda group, selection=selection: group.where("judged", **selection),
-        )
+        yield _success_in(name)
+
+
+def _success_in(population: str) -> Measure:
+    """Success in one population."""
+    selection = {"population": population}
+    if population == WHOLE_WORD:  # of all bits
+        selection = {}
+    return Measure(
+        f"success_{population}",
+        POPULATIONS.get(population, population),
+        RATE,
+        lambda group: rates_by_population(group, "success").get(population),
+        counted=lambda group: group.where("judged", **selection),
+    )
 
 
 FAILS_OR_SLOWER = ~pl.col("success") | (pl.col("inflation") > SLOWER).fill_null(value=False)

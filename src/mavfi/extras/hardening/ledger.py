@@ -26,7 +26,7 @@ from mavfi.errors import BadInputError, not_known
 from mavfi.extras.hardening.vulnerability.lines import SDC, no_instruction_faults
 from mavfi.flight.targets import Targets
 from mavfi.ir.injection.table import InjectionSite
-from mavfi.levels.instruction import campaign_targets
+from mavfi.levels.instruction.sampling import campaign_targets
 from mavfi.mission import Scenario
 from mavfi.states import PLANNERS
 
