@@ -19,7 +19,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 import numpy as np
 
@@ -322,11 +322,11 @@ class Boundary:
         recording: "ApiRecording | None" = None,
     ) -> "Boundary":
         """The boundary with a fault, in a call or in the vehicle behind it."""
-        if isinstance(fault, SensorFault):
-            return cls(watch=watch, recording=recording, failure=Failure(fault))
-        if isinstance(fault, MessageFault):
-            fault = BoundaryFault(fault)
-        return cls(fault, watch=watch, recording=recording)
+        if fault is None or isinstance(fault, BoundaryFault):
+            return cls(fault, watch=watch, recording=recording)
+        if fault.level == SensorFault.level:
+            return cls(watch=watch, recording=recording, failure=Failure(cast(SensorFault, fault)))
+        return cls(BoundaryFault(cast(MessageFault, fault)), watch=watch, recording=recording)
 
     @property
     def faulty(self) -> bool:
