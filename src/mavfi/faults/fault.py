@@ -57,7 +57,7 @@ class Fault:
     """
 
     level: ClassVar[str]
-    later_fields: ClassVar[tuple[str, ...]] = ("change", "role")
+    later_fields: ClassVar[tuple[str, ...]] = ()
     if TYPE_CHECKING:  # subclasses have these as fields, each in another order
 
         @property
@@ -131,7 +131,7 @@ class Fault:
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
         change = data.get("change")
-        if isinstance(change, str):
+        if isinstance(change, str) and "change" in cls.later_fields:
             data = {**data, "change": parse_text(change)}
         return checked(cls, data, f"fault of level {cls.level}")
 
