@@ -19,7 +19,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from typing import Any, TextIO, cast
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -325,8 +325,8 @@ class Boundary:
         if fault is None or isinstance(fault, BoundaryFault):
             return cls(fault, watch=watch, recording=recording)
         if fault.level == SensorFault.level:
-            return cls(watch=watch, recording=recording, failure=Failure(cast(SensorFault, fault)))
-        return cls(BoundaryFault(cast(MessageFault, fault)), watch=watch, recording=recording)
+            return cls(watch=watch, recording=recording, failure=Failure(fault))
+        return cls(BoundaryFault(fault), watch=watch, recording=recording)
 
     @property
     def faulty(self) -> bool:
