@@ -211,7 +211,10 @@ def load_object(  # noqa: ANN401 - a user's own
     except MavfiError:
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises while it is imported
-        raise BadInputError(f"{what} {name!r}: cannot be imported ({reason(error)})") from None
+        missing = None
+        if isinstance(error, ModuleNotFoundError):
+            missing = missing_package(error, f"{what} {name!r}")
+        raise missing or BadInputError(f"{what} {name!r}: cannot be imported ({reason(error)})") from None
     if loaded is None:
         question = hint(attribute, vars(imported))
         raise BadInputError(f"{what} {name!r}: cannot be imported ({module} has no {attribute}){question}")

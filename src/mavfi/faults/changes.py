@@ -217,22 +217,6 @@ class ReadsField(Protocol):
         """Value of the field; NaN if the message lacks it."""
 
 
-class Schedule(Protocol):
-    """Decides, message by message, which ones a fault changes."""
-
-    changed: int
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no further message will be changed, whatever comes."""
-
-    def due(self, time_s: float, read: ReadsField) -> bool:
-        """Whether the next message, at this instant (s), is changed; to be called for each message in order."""
-
-    def take_back(self) -> None:
-        """The message that was due cannot be changed: it does not count as a changed one."""
-
-
 class MessageSchedule:
     """The messages that a `When` selects.
 
@@ -251,11 +235,11 @@ class MessageSchedule:
 
     @property
     def is_over(self) -> bool:
-        """See `Schedule.is_over`."""
+        """Whether no further message will be changed, whatever comes."""
         return self._is_late or (self._when.times != _TIMES_FOR_EVER and self.changed >= self._when.times)
 
     def due(self, time_s: float, read: ReadsField) -> bool:
-        """See `Schedule.due`."""
+        """Whether the next message, at this instant (s), is changed; to be called for each message in order."""
         when = self._when
         self._messages += 1
         time_us = round(1e6 * time_s)
@@ -275,8 +259,12 @@ class MessageSchedule:
             self._latest_us = time_us + self._lasts_us
         return True
 
+    def copy(self) -> Self:
+        """An independent copy in the same state."""
+        return copy(self)
+
     def take_back(self) -> None:
-        """See `Schedule.take_back`."""
+        """The message that was due cannot be changed: it does not count as a changed one."""
         self.changed -= 1
         if self.changed == 0:
             self._latest_us = math.inf
@@ -367,7 +355,7 @@ class ChangeInjector:
         value: What is done to each value.
     """
 
-    def __init__(self, schedule: Schedule, value: ValueChange) -> None:
+    def __init__(self, schedule: MessageSchedule, value: ValueChange) -> None:
         self._schedule = schedule
         self.value = value
 

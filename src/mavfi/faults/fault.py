@@ -57,7 +57,7 @@ class Fault:
     """
 
     level: ClassVar[str]
-    later_fields: ClassVar[tuple[str, ...]] = ("change", "role")
+    later_fields: ClassVar[tuple[str, ...]] = ()
     if TYPE_CHECKING:  # subclasses have these as fields, each in another order
 
         @property
@@ -108,7 +108,8 @@ class Fault:
     @property
     def in_detector(self) -> bool:
         """Whether it is in a detector itself, and so in flights with that detector only."""
-        return False
+        role = getattr(self, "role", "")
+        return role == "detector" or (not role and getattr(self, "kernel", "") in DETECTORS)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -130,7 +131,7 @@ class Fault:
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
         change = data.get("change")
-        if isinstance(change, str):
+        if isinstance(change, str) and "change" in cls.later_fields:
             data = {**data, "change": parse_text(change)}
         return checked(cls, data, f"fault of level {cls.level}")
 
@@ -209,11 +210,6 @@ class FaultSite:
         if self.element is None:
             return f"{self.state}.{self.field}"
         return f"{self.state}.{self.field}[{self.element}]"
-
-
-def is_detector(kernel: str, role: str) -> bool:
-    """Whether a kernel, or a plug-in of a role, is a detector."""
-    return role == "detector" or (not role and kernel in DETECTORS)
 
 
 @cache

@@ -109,9 +109,14 @@ def changed_number(operation: Operation, value: Number, dtype: str) -> Number:
         BadInputError: The type has no such bit, or cannot hold the value.
     """
     check_number_operation(operation, dtype)
+    kind = np.dtype(dtype)
     if operation.name == "flip":
         assert operation.bit is not None  # drawn before
-        return flipped(value, operation.bit, dtype)
+        word = np.array([value]).astype(kind)
+        bits = word.view(f"u{kind.itemsize}")
+        bits ^= np.array(1 << operation.bit, bits.dtype)
+        flipped: Number = word[0].item()
+        return flipped
     operand = operation.value
     assert operand is not None  # these operations need one
     result = operand
@@ -119,7 +124,6 @@ def changed_number(operation: Operation, value: Number, dtype: str) -> Number:
         result = value + operand
     elif operation.name == "scale":
         result = value * operand
-    kind = np.dtype(dtype)
     if kind.kind == "f":
         with np.errstate(over="ignore"):
             return float(np.array(result).astype(kind))
@@ -150,16 +154,6 @@ def check_number_operation(operation: Operation, dtype: str) -> None:
         value = operation.value
         if value is None or not value.is_integer() or not limits.min <= value <= limits.max:
             raise BadInputError(f"{operation}: allowed: whole numbers from {limits.min} to {limits.max}")
-
-
-def flipped(value: Number, bit: int, dtype: str) -> Number:
-    """A number with one bit inverted."""
-    kind = np.dtype(dtype)
-    word = np.array([value]).astype(kind)
-    bits = word.view(f"u{kind.itemsize}")
-    bits ^= np.array(1 << bit, bits.dtype)
-    result: Number = word[0].item()
-    return result
 
 
 # ---- text ------------------------------------------------------------------------------------------------------------

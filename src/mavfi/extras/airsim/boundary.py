@@ -322,11 +322,11 @@ class Boundary:
         recording: "ApiRecording | None" = None,
     ) -> "Boundary":
         """The boundary with a fault, in a call or in the vehicle behind it."""
-        if isinstance(fault, SensorFault):
+        if fault is None or isinstance(fault, BoundaryFault):
+            return cls(fault, watch=watch, recording=recording)
+        if fault.level == SensorFault.level:
             return cls(watch=watch, recording=recording, failure=Failure(fault))
-        if isinstance(fault, MessageFault):
-            fault = BoundaryFault(fault)
-        return cls(fault, watch=watch, recording=recording)
+        return cls(BoundaryFault(fault), watch=watch, recording=recording)
 
     @property
     def faulty(self) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self, get_args
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import NO_SITE, RESTART_S, CallFault, is_detector
+from mavfi.faults.fault import NO_SITE, RESTART_S, CallFault
 from mavfi.flight.targets import counter_name
 from mavfi.ir.build import name_of
 from mavfi.ir.injection.table import DATA, InjectionSite
@@ -98,11 +98,6 @@ class InstructionFault(CallFault):
     def bit_class(self) -> str:
         """Meaning of the bit in the value."""
         return self.stratum
-
-    @property
-    def in_detector(self) -> bool:
-        """See `Fault.in_detector`."""
-        return is_detector(self.kernel, self.role)
 
     @property
     def counter(self) -> str:

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from mavfi.errors import BadInputError, not_known
 from mavfi.faults import strata
 from mavfi.faults.changes import Change
-from mavfi.faults.fault import Fault, is_detector
+from mavfi.faults.fault import Fault
 from mavfi.faults.operations import VALUE_OPERATIONS, check_number_operation
 from mavfi.states import KERNELS, PLUG_INS, WATCHING
 
@@ -103,8 +103,3 @@ class MemoryFault(Fault):
         if self.bit is None:
             return ""
         return strata.bit_class(self, self.bit)
-
-    @property
-    def in_detector(self) -> bool:
-        """See `Fault.in_detector`."""
-        return is_detector(self.kernel, self.role)

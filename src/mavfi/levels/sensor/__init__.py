@@ -16,8 +16,7 @@ from mavfi.faults.fault import NO_SITE, Fault
 from mavfi.faults.sampling import stream
 from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import SECONDS, Draw, Golden, Level, Sampler, Sampling, check_distinct, check_known
-from mavfi.levels.sensor.fault import FAILING, NULL, RANDOM, UNITS, SensorFault, check_read
-from mavfi.mission import MissionSpec
+from mavfi.levels.sensor.fault import FAILING, NULL, RANDOM, UNITS, SensorFault, check_read, is_read
 
 if TYPE_CHECKING:
     from mavfi.flight.host import ArmSetup, Flight
@@ -98,10 +97,11 @@ class SensorSampler(Sampler):
     def __init__(self, campaign: SampledCampaign) -> None:
         super().__init__(campaign)
         mission = campaign.first_mission
-        units = self.sampling.units or tuple(unit for unit in UNITS if _is_read(unit, mission))
+        read = mission.flight_controller, mission.localization
+        units = self.sampling.units or tuple(unit for unit in UNITS if is_read(unit, *read))
         if campaign.under_test is None:
             for unit in units:
-                check_read(unit, mission.flight_controller, mission.localization)
+                check_read(unit, *read)
         self.targets = dict.fromkeys(units, dict.fromkeys(self.sampling.types, 1.0))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Golden) -> list[Fault | None]:
@@ -129,15 +129,6 @@ class SensorSampler(Sampler):
         if not flight_time_us:
             return replace(planned, time_us=NO_SITE, seed=seed)
         return SensorRequest(planned, draws_start=True).resolve(seed, flight_time_us, *address)
-
-
-def _is_read(unit: str, mission: MissionSpec) -> bool:
-    """Whether something in a mission reads a unit."""
-    try:
-        check_read(unit, mission.flight_controller, mission.localization)
-    except BadInputError:
-        return False
-    return True
 
 
 class SensorLevel(Level):

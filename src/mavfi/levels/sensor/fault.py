@@ -131,13 +131,14 @@ class SensorFault(Fault):
         return self.time_us + 1e6 * self.lasts_s
 
 
-def check_read(unit: str, flight_controller: str, localization: str) -> None:
-    """Check that something in a mission reads a device.
+def is_read(unit: str, flight_controller: str, localization: str) -> bool:
+    """Whether something in a mission reads a device."""
+    return unit != "accelerometer" or flight_controller != "cascade" or localization != "truth"
 
-    Raises:
-        BadInputError: Nothing does.
-    """
-    if unit == "accelerometer" and flight_controller == "cascade" and localization == "truth":
+
+def check_read(unit: str, flight_controller: str, localization: str) -> None:
+    """Raise a BadInputError if nothing in a mission reads a device."""
+    if not is_read(unit, flight_controller, localization):
         raise BadInputError(
             "fault in accelerometer: localization truth and our flight controller do not read it; "
             "allowed: localization estimator, or flight_controller betaflight"

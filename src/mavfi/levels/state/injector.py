@@ -37,12 +37,10 @@ class LifetimeSchedule:
         self._since_us = 0  # instant of the first change
         self._publications = 0  # since the fault began
 
-    def __copy__(self) -> "LifetimeSchedule":
-        other = LifetimeSchedule(self._fault, copy(self._acted_on))
-        other.changed = self.changed
-        other.is_over = self.is_over
-        other._since_us = self._since_us
-        other._publications = self._publications
+    def copy(self) -> Self:
+        """An independent copy in the same state."""
+        other = copy(self)
+        other._acted_on = copy(self._acted_on)
         return other
 
     def due(self, state: State, time_us: int, *, has_value: bool) -> bool:
@@ -90,13 +88,12 @@ class StateInjector(RewindableInjector):
         self._spec = find_state(fault.where.state)
         self._spec.find(fault.where.field)  # refuses an unknown field
         self._in_elements = self._spec.in_elements(fault.where.field)
-        self._lifetime: LifetimeSchedule | None = None
         self._schedule: LifetimeSchedule | MessageSchedule
         if fault.change is None:
             acted_on = ActedOn(self._spec)
             if watch is not None and self._spec.name in watch.acted_on:
                 acted_on = copy(watch.acted_on[self._spec.name])
-            self._schedule = self._lifetime = LifetimeSchedule(fault, acted_on)
+            self._schedule = LifetimeSchedule(fault, acted_on)
             self._value = ValueChange(Operation("flip", bit=fault.bit), width=fault.width, is_stuck=True)
         else:
             change = fault.change.with_fields(fault.bit, fault.time_us, fault.lasts_s)
@@ -106,9 +103,7 @@ class StateInjector(RewindableInjector):
     def copy(self) -> Self:
         """An independent copy in the same state."""
         other = super().copy()
-        other._schedule = copy(self._schedule)
-        if isinstance(other._schedule, LifetimeSchedule):
-            other._lifetime = other._schedule
+        other._schedule = self._schedule.copy()
         other._value = copy(self._value)
         return other
 
@@ -128,9 +123,8 @@ class StateInjector(RewindableInjector):
     def _is_due(self, state: State, time_us: int) -> bool:
         """Whether this publication is changed: one whose list is empty has no such number."""
         has_value = not self._in_elements or len(state.elements) > 0
-        if self._lifetime is not None:
-            return self._lifetime.due(state, time_us, has_value=has_value)
-        assert isinstance(self._schedule, MessageSchedule)  # that of a change
+        if isinstance(self._schedule, LifetimeSchedule):
+            return self._schedule.due(state, time_us, has_value=has_value)
         due = self._schedule.due(time_us / 1e6, lambda path: number_in(state, path))
         if due and not has_value:
             self._schedule.take_back()

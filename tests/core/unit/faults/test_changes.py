@@ -135,6 +135,7 @@ def test_a_condition_reads_header_and_elements():
 MESSAGES = {
     "drop:times=2@0.02": [0, 3, 4, 5],
     "drop@0.02..0.06": [0, 4, 5],
+    "drop:lasts=0.04@0.02": [0, 4, 5],
     "delay=0.05@0.02": [0, 2, 3, 1, 4, 5],
     "delay=0.04:times=2@0.02": [0, 1, 3, 2, 4, 5],
     "duplicate=2@n=2": [0, 1, 1, 1, 2, 3, 4, 5],

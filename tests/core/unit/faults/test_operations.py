@@ -144,6 +144,7 @@ TEXTS = [
     "set=nan@10..12",
     "bias=0.12345678901234566:times=0:every=5@10",
     "scale=-1e-300:share=0.1@linear.x>0.5",
+    "bias=0.5:times=0:lasts=2.0@10",
     "drop@n=100",
     "delay=0.2:times=20@0",
     "duplicate=3:times=7@sim=3.25..4",

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from functools import reduce
 from operator import and_
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from mavfi.errors import BadInputError
 from mavfi.extras.registers import inject
@@ -175,9 +175,9 @@ class StackBench:
 
     def injectable(self, fault: Fault) -> InterposedFault | RegisterFault:
         """A planned fault as `trial` takes it: inputs are changed where they are received, others when published."""
-        if isinstance(fault, RegisterFault):
-            return fault
-        assert isinstance(fault, MessageFault)  # by the levels of the host
+        if fault.level == RegisterFault.level:
+            return cast(RegisterFault, fault)
+        fault = cast(MessageFault, fault)  # the other level of the host
         side: Side = "publish"
         if fault.topic in (*self._stack.input_topics, *(entry["topic"] for entry in self._inputs)):
             side = "take"
@@ -249,7 +249,7 @@ class StackBench:
         """Run a trial; without a fault, as another error-free run."""
         golden = self.golden()
         expected = golden.cycles
-        if isinstance(fault, RegisterFault):
+        if fault is not None and not isinstance(fault, InterposedFault):
             expected = self._golden_cycles()
         for _ in range(_ATTEMPTS):
             run = self._play(fault)
@@ -443,7 +443,7 @@ class StackBench:
         count: int,
     ) -> PlayedInputs:
         """Play the inputs so many times; for a register, while it is injected."""
-        if isinstance(fault, RegisterFault):
+        if fault is not None and not isinstance(fault, InterposedFault):
             return self._play_while_injecting(driver, pids, script, fault)
         cycles = []
         for number in range(1, count + 1):
@@ -595,7 +595,7 @@ def _injections(
     """What was changed, and why nothing was ("" = something was, or nothing was to be)."""
     if fault is None:
         return (), ""
-    if isinstance(fault, RegisterFault):
+    if not isinstance(fault, InterposedFault):
         if isinstance(run.register, BadInputError):
             raise run.register
         if not isinstance(run.register, Injection):
