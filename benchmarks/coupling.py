@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mavfi.faults.sampling import draw, stage_target
 from mavfi.flight.compose import detector_for, resolve, with_keys_of
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.host import Flight
+from mavfi.levels.state.drawing import draw, stage_target
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
 

@@ -17,11 +17,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from mavfi.faults.levels.instruction import run_in_child
-from mavfi.faults.levels.instruction.runtime import NEVER
-from mavfi.faults.levels.instruction.variant import signature_of, variant_for
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
+from mavfi.ir.injection.runtime import NEVER
+from mavfi.ir.injection.variant import signature_of, variant_for
+from mavfi.levels.instruction import run_in_child
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
@@ -32,7 +32,7 @@ Row = tuple[str, str]
 WARM_START = """
 import pickle, sys, time
 start = time.perf_counter()
-from mavfi.faults.levels.instruction.variant import variant_of
+from mavfi.ir.injection.variant import variant_of
 from mavfi.pipeline.functions import PLAIN
 imported = time.perf_counter() - start
 for name, signature in pickle.loads(sys.stdin.buffer.read()):

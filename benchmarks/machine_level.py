@@ -32,15 +32,15 @@ from mavfi.campaign.fingerprint import processor
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.compiled import code_of, copied
 from mavfi.extras.hardening.duplicate import MESSAGE, candidates, protect
-from mavfi.faults.levels.instruction import count, draw, run_forked
-from mavfi.faults.levels.instruction.api import digest
-from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.ir.build import environment_of, load_code
+from mavfi.ir.injection.variant import signature_of
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source
+from mavfi.levels.instruction import count, draw, run_forked
+from mavfi.levels.instruction.api import digest
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect
 from mavfi.pipeline.functions import PLAIN

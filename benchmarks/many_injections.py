@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mavfi.faults.levels import instruction
+from mavfi.levels import instruction
 from mavfi.numerics.jit import kernel_jit
 
 N = 100_000

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mavfi.extras.registers import inject
-from mavfi.faults import DEFAULT_WALK
-from mavfi.faults.fault import RegisterFault
+from mavfi.extras.registers.fault import DEFAULT_WALK, RegisterFault
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "registers.md"

@@ -18,7 +18,8 @@ from pathlib import Path
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault
-from mavfi.faults.operations import Operation, When
+from mavfi.faults.changes import When
+from mavfi.faults.operations import Operation
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "ros2.md"

@@ -5,7 +5,7 @@ python examples/instruction_fault.py
 
 import numpy as np
 
-from mavfi.faults.levels import instruction
+from mavfi.levels import instruction
 from mavfi.numerics.jit import kernel_jit
 
 

@@ -10,11 +10,11 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.lockstep import views
 from mavfi.extras.ros.lockstep.host import configure
 from mavfi.extras.ros.lockstep.plan import FlightGraph
-from mavfi.faults.levels.sensor.fault import NULL, TYPES, UNITS, Device, SensorFault, check_read
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.flight.host import find_host, host_class
 from mavfi.flight.loop import CONTROL_PERIOD_US
+from mavfi.levels.sensor.fault import NULL, TYPES, UNITS, Device, SensorFault, check_read
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline

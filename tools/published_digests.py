@@ -12,7 +12,7 @@ from typing import Any
 
 from mavfi.campaign.resolve import resolve
 from mavfi.campaign.run import identity_of
-from mavfi.campaign.store import held
+from mavfi.campaign.store import read_meta
 from mavfi.extras.paper.study import load_study
 from mavfi.record import canonical
 from mavfi.report.text import markdown_grid, short
@@ -58,7 +58,7 @@ def of_study(out: Path, study: Mapping[str, Any]) -> dict[str, Any]:
         raise ValueError(f"holds study {study['study']} at scale {scale}; allowed: paper at {', '.join(COMMANDS)}")
     for folder, identity in identities(scale).items():
         campaign = study["campaigns"][folder]
-        stored_identity = held(out / folder, "identity")
+        stored_identity = read_meta(out / folder, "identity")
         if stored_identity is None or canonical({**stored_identity, "models": {}}) != identity:
             raise ValueError(f"campaign {campaign['name']} is not that of scale {scale} here")
         if campaign["done"] < campaign["total"]:

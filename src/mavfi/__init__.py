@@ -20,14 +20,14 @@ _PUBLIC = {
     "MissionSpec": "mavfi.mission",
     "Scenario": "mavfi.mission",
     "MissionStatus": "mavfi.mission",
-    "StateFault": "mavfi.faults.fault",
-    "InstructionFault": "mavfi.faults.fault",
-    "MessageFault": "mavfi.faults.fault",
-    "MemoryFault": "mavfi.faults.fault",
-    "RegisterFault": "mavfi.faults.fault",
+    "StateFault": "mavfi.levels.state.fault",
+    "InstructionFault": "mavfi.levels.instruction.fault",
+    "MessageFault": "mavfi.levels.message.fault",
+    "MemoryFault": "mavfi.levels.memory.fault",
+    "RegisterFault": "mavfi.extras.registers.fault",
     "FaultSite": "mavfi.faults.fault",
     "Fault": "mavfi.faults.fault",
-    "SensorFault": "mavfi.faults.levels.sensor.fault",
+    "SensorFault": "mavfi.levels.sensor.fault",
     "Injection": "mavfi.record",
     "FlightLog": "mavfi.record",
     "FlightRecord": "mavfi.record",
@@ -60,14 +60,14 @@ if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector as Detector
     from mavfi.errors import BadInputError as BadInputError
     from mavfi.errors import MavfiError as MavfiError
+    from mavfi.extras.registers.fault import RegisterFault as RegisterFault
     from mavfi.faults.fault import Fault as Fault
     from mavfi.faults.fault import FaultSite as FaultSite
-    from mavfi.faults.fault import InstructionFault as InstructionFault
-    from mavfi.faults.fault import MemoryFault as MemoryFault
-    from mavfi.faults.fault import MessageFault as MessageFault
-    from mavfi.faults.fault import RegisterFault as RegisterFault
-    from mavfi.faults.fault import StateFault as StateFault
-    from mavfi.faults.levels.sensor.fault import SensorFault as SensorFault
+    from mavfi.levels.instruction.fault import InstructionFault as InstructionFault
+    from mavfi.levels.memory.fault import MemoryFault as MemoryFault
+    from mavfi.levels.message.fault import MessageFault as MessageFault
+    from mavfi.levels.sensor.fault import SensorFault as SensorFault
+    from mavfi.levels.state.fault import StateFault as StateFault
     from mavfi.mission import MissionSpec as MissionSpec
     from mavfi.mission import MissionStatus as MissionStatus
     from mavfi.mission import Scenario as Scenario

@@ -41,7 +41,9 @@ OPTIONS: Mapping[str, str] = {
 """Options of the command line, alone or of one command ("states --json"), with what to do instead."""
 
 COMMANDS: Mapping[str, str] = {
-    "mavlink": "no replacement: ground stations fly PX4's or ArduPilot's own simulation; fly --mavlink PORT shows ours",
+    "mavlink serve": (
+        "no replacement: ground stations fly PX4's or ArduPilot's own simulation; fly --mavlink PORT shows ours"
+    ),
 }
 """Commands, with what to do instead."""
 

@@ -45,7 +45,7 @@ class Rewriter(Protocol):
 
         Args:
             fault: An instruction fault.
-            plain: Variant of the function as compiled, see `mavfi.faults.levels.instruction.variant`.
+            plain: Variant of the function as compiled, see `mavfi.ir.injection.variant`.
             rewritten: Its rewritten variant.
             args: Arguments of the call.
         """

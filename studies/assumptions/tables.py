@@ -12,7 +12,6 @@ from mavfi.analysis import published as paper
 from mavfi.analysis.measures import recomputed_share
 from mavfi.analysis.rows import ALL_BITS
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.statistics import holm
 from mavfi.extras.paper.claims import (
     AS_PUBLISHED,
     CLAIMS,
@@ -23,6 +22,7 @@ from mavfi.extras.paper.claims import (
     UNDECIDED,
     VALUES,
     Claim,
+    holm,
     verdict,
 )
 from mavfi.report.text import short

@@ -24,7 +24,7 @@ from mavfi.api import table as table_of
 from mavfi.extras.firmware.build import installed
 from mavfi.extras.firmware.controller import BetaflightController
 from mavfi.extras.firmware.host import fly, register_fault
-from mavfi.faults.fault import RegisterFault
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.faults.sampling import stream
 from mavfi.flight.compose import resolve
 from mavfi.flight.loop import Listener, Loop

@@ -11,7 +11,7 @@ import numpy as np
 from mavfi.extras.firmware.controller import BetaflightController
 from mavfi.extras.firmware.injector import FirmwareInjector
 from mavfi.extras.registers.classes import class_of, function_of
-from mavfi.faults.fault import RegisterFault
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import LOST_TILT, ControlEffect

@@ -56,7 +56,7 @@ from mavfi.extras.paper.study import load_study
 from mavfi.extras.ros.watch import train_on_file
 from mavfi.flight.compose import find_environment, find_planner, new_loop, resolve
 from mavfi.levels.level import parse
-from mavfi.levels.state import StateRequest
+from mavfi.levels.state.request import StateRequest
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, KernelEffect
 from mavfi.sim.environments import build_world, environment_for_file

@@ -15,10 +15,9 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from mavfi.extras.registers.fault import DEFAULT_WALK, RegisterFault
 from mavfi.extras.registers.injector import inject_once
 from mavfi.extras.registers.registers import decode
-from mavfi.faults import DEFAULT_WALK
-from mavfi.faults.fault import RegisterFault
 from tests.extras.registers.conftest import Targets
 from tests.nightly.chaos import say
 

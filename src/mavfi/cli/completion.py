@@ -93,8 +93,8 @@ def fault(incomplete: str) -> list[str]:
 
 def _places_of(level: str) -> Mapping[str, Iterable[str]]:
     """The places of a level's faults, each with what may follow it."""
-    from mavfi.faults.levels.sensor.fault import FAILING, UNITS
     from mavfi.faults.operations import MESSAGE_OPERATIONS
+    from mavfi.levels.sensor.fault import FAILING, UNITS
     from mavfi.states import DETECTORS, INJECTABLE, KERNELS, STATES
 
     if level == "state":

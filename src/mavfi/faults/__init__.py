@@ -1,8 +1,1 @@
-"""Faults: types, draws and injectors for each level."""
-
-DEFAULT_WALK = 16
-"""Default of `RegisterFault.walk` with a symbol.
-
-It is longer than the loops at whose few instructions stops occur.  Longer walks spread injections no further, and stop
-the target for longer (docs/reference/registers.md).
-"""
+"""What the levels of faults share: the base of faults, changes, operations, sampling, strata."""

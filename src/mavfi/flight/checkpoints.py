@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from mavfi.detectors.detector import Detector
+from mavfi.faults.acted_on import CounterWatch
 from mavfi.faults.injector import RewindableInjector
-from mavfi.faults.levels.state_injector import CounterWatch
 from mavfi.flight.loop import Loop
 from mavfi.flight.state import FlightState
 from mavfi.pipeline.memory import OpaqueKeeper, Remembers, Saved, Scratch

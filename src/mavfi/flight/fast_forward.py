@@ -23,27 +23,25 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import MessageFault, StateFault
-from mavfi.faults.levels.instruction import Resolving
-from mavfi.faults.levels.message.injector import PublicationInjector
-from mavfi.faults.levels.state_injector import CounterWatch, injector_of
+from mavfi.faults.acted_on import CounterWatch
+from mavfi.faults.fault import Fault, find_level
+from mavfi.faults.injector import Injector
 from mavfi.flight.branches import FlightBranch
 from mavfi.flight.checkpoints import Checkpoint, can_save_kernels, has_scratch, put, take
 from mavfi.flight.compose import new_loop
 from mavfi.flight.counted_functions import CountedFunction
 from mavfi.flight.host import Flight
 from mavfi.flight.known_flights import NO_DETECTOR, FlownArm, KnownFlight, check_prefix
-from mavfi.flight.loop import Listener
+from mavfi.flight.loop import Listener, Profiler
+from mavfi.ir.injection.variant import Resolving
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import ENTRIES, PLAIN
 from mavfi.record import Profile
 from mavfi.sim.controller import is_rewindable
+from mavfi.states import states_with
 
 TICKS = {"dense": 50, "octree": 200}
 """Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
-
-PublicationFault = StateFault | MessageFault
-"""A fault in publications of a state: of a value, or of whole ones."""
 
 
 @dataclass(slots=True)
@@ -96,11 +94,11 @@ class FastForward:
         self.share = SimulatedShare()
         self._golden: dict[str, KnownFlight] = {}
         self._profile: Profile | None = None
-        self._latest_fault: PublicationFault | None = None
+        self._latest_fault: Fault | None = None
         self._flights_with_fault: dict[str, KnownFlight] = {}  # the latest one, by arm
         self._take_off: Checkpoint | None = None
 
-    def fly(self, fault: PublicationFault | None = None, arm: FlownArm = NO_DETECTOR) -> Flight:
+    def fly(self, fault: Fault | None = None, arm: FlownArm = NO_DETECTOR) -> Flight:
         """Fly, reusing known parts; only the golden flight without a detector has a profile.
 
         Args:
@@ -143,16 +141,16 @@ class FastForward:
         branch = FlightBranch(self, arm, self._take_off, None, others, keeps_checkpoints=True)
         branch.store_checkpoint(self._take_off.here)
         put(self.loop, self._take_off.here)
-        publications = self.loop.record.publications
-        publications.want_profile = arm.detector is None
+        if arm.detector is not None:
+            return branch.fly()
+        profiler = Profiler(states_with(self.loop.scenario.localization.kind).values())
+        self.loop.taps.recorders.append(profiler)
         known_flight = branch.fly()
-        if publications.want_profile:
-            self._profile = publications.profile()
-        publications.want_profile = False
+        self._profile = profiler.profile()
         return known_flight
 
     # ---- flights with faults in publications -------------------------------------------------------------------------
-    def _with_fault(self, fault: PublicationFault, arm: FlownArm) -> KnownFlight:
+    def _with_fault(self, fault: Fault, arm: FlownArm) -> KnownFlight:
         """The injected run of an arm, flown with as much of the known flights as possible."""
         if self._latest_fault != fault:
             self._latest_fault = fault
@@ -162,8 +160,7 @@ class FastForward:
 
         # A detector that may act before its first alarm has nothing in common with the flights of other arms.
         own_golden = self.golden(arm)
-        changed_state = fault.where.state if isinstance(fault, StateFault) else fault.topic
-        if arm.takes_part or arm.checks_before_injector(changed_state):
+        if arm.takes_part or arm.checks_before_injector(fault.changed_state):
             return self._fly_injected(fault, arm, own_golden, [])
 
         # If nothing has happened before the fault, the run without a detector is identical up to the first alarm.
@@ -188,7 +185,7 @@ class FastForward:
 
     def _fly_injected(
         self,
-        fault: PublicationFault,
+        fault: Fault,
         arm: FlownArm,
         own_golden: KnownFlight,
         others: Sequence[KnownFlight],
@@ -200,14 +197,9 @@ class FastForward:
         rows = own_golden.before(fault.time_us)
         start = own_golden.checkpoints[rows]
         branch = FlightBranch(self, arm, start, own_golden, others, own_golden, keeps_checkpoints=keeps_checkpoints)
-        taps = self.loop.taps
-        if isinstance(fault, StateFault):
-            assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
-            taps.injector = injector_of(fault, start.injector)
-        else:
-            taps.injector = PublicationInjector(fault, self.loop)
-            self.loop.watch_transit()
-        if taps.injector.spent:  # the fault has no site
+        self.loop.taps.injector = start.injector  # the injector continues from its counters
+        injector: Injector = find_level(fault.level).inject(self.loop, fault, None)
+        if injector.spent:  # the fault has no site
             branch.append_rest(own_golden, rows)
         elif without_detector is not None:
             branch.follow(without_detector, rows)

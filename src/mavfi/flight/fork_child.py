@@ -5,17 +5,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import ForkPoint
-from mavfi.faults.levels.instruction.arena import arena, copy_result
-from mavfi.faults.levels.instruction.plan import DATA, changed_nothing
-from mavfi.faults.levels.instruction.variant import Variant
+from mavfi.faults.fault import CallFault
 from mavfi.flight.instruction_cases import ChildReport, FaultCase, Output, Published
-from mavfi.pipeline.kernel import Kernel
+from mavfi.ir.forked import ForkPoint
+from mavfi.ir.injection.arena import arena, copy_result
+from mavfi.ir.injection.table import DATA
+from mavfi.ir.injection.variant import Variant, changed_nothing
 from mavfi.pipeline.memory import copied, same
 from mavfi.record import FlightLog
 from mavfi.rewriting import rewriter
-from mavfi.states import State
 
 MAP_FUNCTIONS = frozenset({"insert_scan", "collect", "update_voxels", "apply_updates"})
 """Functions that write maps."""
@@ -48,7 +46,7 @@ class ForkedChild:
     def call(
         self,
         variant: Variant,
-        fault: InstructionFault,
+        fault: CallFault,
         function: Callable[..., Any],
         args: tuple[Any, ...],
         *,
@@ -83,11 +81,6 @@ class ForkedChild:
         if self.call_same and report is not None and (report.planned or report.site.value_class in DATA):
             self.end(ChildReport(None, None, call_same=True))
         return result
-
-    def note_output(self, kernel: Kernel, states: list[State]) -> None:
-        """Store the output of the injected step: the first one of its kernel."""
-        if self.output is None:
-            self.output = Output.of(kernel, states)
 
     def report(
         self, log: FlightLog, publications: list[Published] | None, watched: Mapping[str, FlightLog] | None = None

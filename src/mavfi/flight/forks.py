@@ -27,16 +27,14 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector, split_noting_calls
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import ChildEnd, ForkPoint, MismatchError
-from mavfi.faults.levels.instruction.plan import check_fault
-from mavfi.faults.levels.instruction.variant import Variant, variant_for
+from mavfi.faults.fault import CallFault
 from mavfi.flight.counted_functions import CallResult
 from mavfi.flight.fork_child import ForkedChild
 from mavfi.flight.instruction_cases import DETECTED, WAITING, ChildReport, FaultCase, Output, Published
 from mavfi.flight.loop import Listener, Loop
 from mavfi.flight.restarts import Restarts
-from mavfi.ir.forked import WALL_CLOCK
+from mavfi.ir.forked import WALL_CLOCK, ChildEnd, ForkPoint
+from mavfi.ir.injection.variant import MismatchError, Variant, variant_for
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import copied
 from mavfi.rewriting import rewriter, rewriting_of
@@ -170,9 +168,7 @@ class Forks(Listener):
             self._awaited.setdefault(case.kernel, []).append(case)
         return None
 
-    def _fault_in(
-        self, fault: InstructionFault, variant: Variant, function: Any, args: tuple[Any, ...]
-    ) -> InstructionFault | None:
+    def _fault_in(self, fault: CallFault, variant: Variant, function: Any, args: tuple[Any, ...]) -> CallFault | None:
         """The fault in the code of a call: itself, or its counterpart in protected code.
 
         None if call numbers may have shifted, and this call has other types, ends before the index, or lacks the bit.
@@ -181,14 +177,14 @@ class Forks(Listener):
             MismatchError: The fault was drawn for other machine code.
         """
         if not self._calls_may_shift:
-            check_fault(fault, variant, function)
+            fault.check(variant, function)
             return fault
         try:
             if self._rewriting is not None and fault.ir_sha256 != variant.ir_sha256:
                 plain = variant_for(function, args)
                 if fault.ir_sha256 == plain.ir_sha256:
                     fault = rewriter().pair(fault, plain, variant, args)
-            check_fault(fault, variant, function)
+            fault.check(variant, function)
         except (MismatchError, IndexError):
             return None
         # Does the call reach the index, with a value that has such a bit?  This runs on copies, without a fork.
@@ -206,7 +202,7 @@ class Forks(Listener):
             self._loop.forked = True
         return split.ended
 
-    def _end_outside_of_pipeline(self, fault: InstructionFault) -> None:
+    def _end_outside_of_pipeline(self, fault: CallFault) -> None:
         """In a child whose call died in no step of a kernel: end the detector, or the flight controller."""
         restarts = self._approach.restarts()
         down_us = round(1e6 * fault.restart_s)
@@ -230,7 +226,8 @@ class Forks(Listener):
         if case.kernel != kernel.name:
             return
         if not child.step_fails:
-            child.note_output(kernel, states)
+            if child.output is None:  # only the first step of the kernel is the injected one
+                child.output = Output.of(kernel, states)
             return
         child.step_fails = False
         if case.how == DETECTED:

@@ -8,8 +8,7 @@ from typing import NoReturn
 import numpy as np
 
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction.plan import changed_nothing
+from mavfi.faults.fault import CallFault
 from mavfi.flight.branches import FlightBranch
 from mavfi.flight.checkpoints import fill, put
 from mavfi.flight.fast_forward import FastForward
@@ -19,12 +18,13 @@ from mavfi.flight.host import Flight
 from mavfi.flight.instruction_cases import WAITING, FaultCase, InjectedRuns, case_of, flight_of
 from mavfi.flight.known_flights import NO_DETECTOR, FlownArm, KnownFlight, check_prefix
 from mavfi.flight.restarts import Restarts
+from mavfi.ir.injection.variant import changed_nothing
 from mavfi.record import FlightLog
 
 
 def fly_from_checkpoints(
     forward: FastForward,
-    faults: Sequence[InstructionFault],
+    faults: Sequence[CallFault],
     golden: Flight,
     arm: FlownArm = NO_DETECTOR,
     watched: Sequence[FlownArm] = (),
@@ -80,10 +80,7 @@ class FromCheckpoints(GoldenApproach):
     def restarts(self) -> Restarts:
         """See `GoldenApproach.restarts`; they know all publications since take-off."""
         assert self._branch is not None  # it flies
-        restarts = Restarts(self.loop, self.loop.scenario.dead_node)
-        for state, now in self._branch.publications:
-            restarts.keep(state, now)
-        return restarts
+        return Restarts(self.loop, self.loop.scenario.dead_node, self._branch.publications)
 
     def fly(self, forks: Forks) -> None:
         """See `GoldenApproach.fly`."""

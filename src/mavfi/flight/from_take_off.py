@@ -5,7 +5,7 @@ from contextlib import ExitStack
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import InstructionFault
+from mavfi.faults.fault import CallFault
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.counted_functions import CountedFunction
 from mavfi.flight.decide import INLINE, RecoveryPolicy
@@ -22,7 +22,7 @@ from mavfi.sim.controller import is_rewindable
 
 def fly_instruction_faults(
     scenario: Scenario,
-    faults: Sequence[InstructionFault],
+    faults: Sequence[CallFault],
     detector: Detector | None = None,
     golden: Flight | None = None,
     recovery: RecoveryPolicy = INLINE,

@@ -8,16 +8,15 @@ from typing import Any, cast
 import numpy as np
 
 from mavfi.detectors.detector import Detector
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction.plan import injection_of
-from mavfi.faults.levels.instruction.variant import InjectionReport
+from mavfi.faults.fault import CallFault
 from mavfi.flight.host import Flight
 from mavfi.flight.targets import Targets
+from mavfi.ir.injection.variant import InjectionReport
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import Remembers
 from mavfi.record import FlightLog, KernelEffect
-from mavfi.states import State
+from mavfi.states import State, differing_rows
 
 WAITING = "not_activated"
 """State of a case whose instruction has not been reached."""
@@ -82,7 +81,7 @@ class FaultCase:
         golden: Error-free output of the kernel in the same step.
     """
 
-    fault: InstructionFault
+    fault: CallFault
     kernel: str
     call: int
     time_us: int = 0
@@ -93,7 +92,7 @@ class FaultCase:
     golden: Output | None = None
 
 
-def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> FaultCase:
+def case_of(fault: CallFault, scenario: Scenario, detector: Detector | None = None) -> FaultCase:
     """The case of a fault before its injection; `BadInputError` if the mission lacks the kernel or detector."""
     target = Targets(scenario, detector).of_fault(fault)
     return FaultCase(fault, target.kernel, fault.call)
@@ -104,7 +103,7 @@ def flight_of(case: FaultCase, golden: Flight) -> Flight:
     log = golden.log
     if case.report is not None and case.report.log is not None:
         log = case.report.log
-    injection = injection_of(case.fault, case.value, case.time_us / 1e6, case.call)
+    injection = case.fault.injection(case.value, case.time_us / 1e6, case.call)
     log = replace(log, injections=[injection], kernel=_effect(case, golden.log))
     return Flight(log, None, golden.world, golden.pipeline)
 
@@ -154,11 +153,9 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
 def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
     """The first field in which two structured arrays of one length differ bit for bit; None = they are identical."""
     for name in golden.dtype.names or ():
-        before = np.ascontiguousarray(golden[name])
-        after = np.ascontiguousarray(injected[name])
-        width = before.dtype.itemsize
-        bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
-        rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
+        before = golden[name]
+        after = injected[name]
+        rows = differing_rows(before, after)
         if len(rows) == 0:
             continue
         first = int(rows[0])

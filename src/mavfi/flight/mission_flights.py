@@ -8,19 +8,17 @@ so do faults in instructions of kernels if the work arrays of these can be saved
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from mavfi.detectors.detector import Detector, is_custom
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, InstructionFault, MessageFault, StateFault, find_level, level_names
-from mavfi.faults.levels.instruction import Resolving
+from mavfi.faults.fault import CallFault, Fault, FliesFrom, find_level, level_names
 from mavfi.flight.checkpoints import can_save_detector
-from mavfi.flight.combined_forks import fly_serially, forks_serially
 from mavfi.flight.compose import new_loop, resolve, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
-from mavfi.flight.fast_forward import FastForward, PublicationFault
+from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.from_checkpoints import fly_from_checkpoints
 from mavfi.flight.from_take_off import fly_instruction_faults
@@ -30,6 +28,7 @@ from mavfi.flight.known_flights import FlownArm, check_prefix
 from mavfi.flight.loop import Listener
 from mavfi.flight.plant import MakePlant
 from mavfi.flight.targets import Targets
+from mavfi.ir.injection.variant import Resolving
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import ENTRIES
 from mavfi.sim.controller import is_rewindable
@@ -75,7 +74,7 @@ class _InstructionRun:
     """A run with a fault in an instruction; `number` is its index among the requested runs."""
 
     number: int
-    fault: InstructionFault
+    fault: CallFault
 
 
 class LocalFlights(ArmFlights):
@@ -138,15 +137,17 @@ class LocalFlights(ArmFlights):
         """
         setup = self._arms[arm]
         flown_arm = self._flown_arm(arm)
-        if fault is not None and forks_serially(fault):
+        flies_from = _start_of(fault)
+        if fault is not None and flies_from is FliesFrom.CALLS:
             self._require_forks()
-            return fly_serially(setup.scenario, fault, flown_arm.detector, setup.recovery)[0]
+            flight: Flight = find_level(fault.level).fly_forked(setup, fault, flown_arm.detector)[0]
+            return flight
         if fault is None:
             # Faults in instructions follow, from take-off if the detector takes part.
             may_forward = not (self._expects_instruction_faults and flown_arm.takes_part)
         else:
-            may_forward = _starts_at_its_instant(fault)
-        if may_forward and isinstance(fault, PublicationFault | None):
+            may_forward = flies_from is FliesFrom.CHECKPOINT
+        if may_forward:
             with self._forwarding(arm) as forward:
                 if forward is not None:
                     return forward.fly(fault, flown_arm)
@@ -214,17 +215,18 @@ class LocalFlights(ArmFlights):
         in_detectors: dict[str, list[_InstructionRun]] = {}
         others = []
         for number, (arm, fault) in enumerate(runs):
-            if not isinstance(fault, InstructionFault) or forks_serially(fault):
+            if _start_of(fault) is not FliesFrom.CALL:
                 others.append(number)
-            elif fault.in_detector:
-                in_detectors.setdefault(arm, []).append(_InstructionRun(number, fault))
-            else:
-                in_kernels.setdefault(arm, []).append(_InstructionRun(number, fault))
+                continue
+            in_code = in_kernels
+            if fault.in_detector:
+                in_code = in_detectors
+            in_code.setdefault(arm, []).append(_InstructionRun(number, cast(CallFault, fault)))
         for index, flight in one_by_one([runs[number] for number in others], self._fly_injected):
             yield others[index], flight
 
         # Arms without a detector are flown first: runs of arms with one may follow from theirs.
-        known: dict[tuple[str, InstructionFault], Flight] = {}
+        known: dict[tuple[str, CallFault], Flight] = {}
         arms = in_kernels.keys() | in_detectors.keys()
         for arm, batch in (*in_kernels.items(), *in_detectors.items()):
             yield from ((run.number, known[arm, run.fault]) for run in batch if (arm, run.fault) in known)
@@ -236,7 +238,7 @@ class LocalFlights(ArmFlights):
         arm: str,
         batch: Sequence[_InstructionRun],
         arms: Collection[str],
-        known: dict[tuple[str, InstructionFault], Flight],
+        known: dict[tuple[str, CallFault], Flight],
     ) -> Iterator[tuple[int, Flight | Exception]]:
         """Flights of a batch with faults in instructions; those of other arms that follow from them become `known`."""
         if not batch:
@@ -255,9 +257,7 @@ class LocalFlights(ArmFlights):
             known.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
         yield from ((run.number, flight) for run, flight in zip(batch, injected.flights, strict=True))
 
-    def _fly_instruction_faults(
-        self, arm: str, faults: Sequence[InstructionFault], arms: Collection[str]
-    ) -> InjectedRuns:
+    def _fly_instruction_faults(self, arm: str, faults: Sequence[CallFault], arms: Collection[str]) -> InjectedRuns:
         """Fly an arm with each of several faults in instructions, and `arms` as far as they follow from it."""
         setup = self._arms[arm]
         flown_arm = self._flown_arm(arm)
@@ -296,13 +296,12 @@ class LocalFlights(ArmFlights):
         return watched
 
 
-def _starts_at_its_instant(fault: Fault) -> bool:
-    """Whether a fault in publications has no effect before its instant, and does not depend on anything before it."""
-    if isinstance(fault, StateFault):
-        return not fault.is_null and not fault.counts_publications
-    if isinstance(fault, MessageFault):
-        return fault.is_of_flight and not fault.counts_publications
-    return False
+def _start_of(fault: Fault | None) -> FliesFrom:
+    """Where flights with a fault are flown from; golden flights are fast-forwarded as well."""
+    if fault is None:
+        return FliesFrom.CHECKPOINT
+    flies_from: FliesFrom = find_level(fault.level).flies_from(fault)
+    return flies_from
 
 
 def _are_of_mavfi(functions: Mapping[str, Any]) -> bool:
@@ -318,13 +317,18 @@ def fly_recorded(
     Raises:
         BadInputError: The scenario cannot be flown, or the fault is of another level.
     """
-    if fault is not None and forks_serially(fault):
-        return fly_serially(scenario, fault, detector, recovery, records=True)
-    if isinstance(fault, InstructionFault):
-        runs = fly_instruction_faults(scenario, [fault], detector, recovery=recovery, records=True)
-        return runs.flights[0], runs.publications[0]
     if fault is not None:
         require_level(LocalHost(), fault.level)
+        if _start_of(fault) is FliesFrom.CALLS:
+            setup = ArmSetup(scenario, recovery=recovery)
+            flown: tuple[Flight, list[Published]] = find_level(fault.level).fly_forked(
+                setup, fault, detector, records=True
+            )
+            return flown
+        if _start_of(fault) is FliesFrom.CALL:
+            faults = [cast(CallFault, fault)]
+            runs = fly_instruction_faults(scenario, faults, detector, recovery=recovery, records=True)
+            return runs.flights[0], runs.publications[0]
     seen: list[Published] = []
 
     def note(state: State, time_us: int) -> None:

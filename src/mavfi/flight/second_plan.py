@@ -2,8 +2,8 @@
 
 from collections.abc import Collection, Mapping
 
-from mavfi.faults.levels.instruction import Profiling
 from mavfi.flight.loop import Listener
+from mavfi.ir.injection.variant import Profiling
 from mavfi.pipeline.kernel import Kernel
 from mavfi.states import PLANNERS, STATES, State
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from mavfi.detectors.detector import Detector, custom_parts, part_of
 from mavfi.detectors.registry import check_kernel
 from mavfi.errors import BadInputError, not_known
-from mavfi.faults.fault import InstructionFault, counter_name
+from mavfi.faults.fault import CallFault
 from mavfi.faults.plug_ins import PlugIn, plug_ins
 from mavfi.numerics.jit import is_compiled
 from mavfi.pipeline.functions import ENTRIES, PLAIN, Compiled, FlightFunctions, KernelFunctions
@@ -106,6 +106,13 @@ def _unbound(function: Any) -> Any:
 def _name_of(function: Any) -> str:
     """Name of a function, or what it is if it has none, for messages."""
     return str(getattr(function, "__name__", repr(function)))
+
+
+def counter_name(kernel: str, role: str, entry: str) -> str:
+    """Name under which calls of a function are counted; functions of plug-ins may have the names of others."""
+    if role:
+        return f"{kernel}.{entry}"
+    return entry
 
 
 # ---- targets --------------------------------------------------------------------------------------------------------
@@ -245,7 +252,7 @@ class Targets:
             return self._scenario.planner.name
         return text
 
-    def of_fault(self, fault: InstructionFault) -> InjectionTarget:
+    def of_fault(self, fault: CallFault) -> InjectionTarget:
         """The target of a fault.
 
         Raises:

@@ -10,28 +10,32 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, NoReturn, Protocol
 
 from pydantic import Field
 
 from mavfi.config import Config
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, hint, not_known
+from mavfi.faults.changes import LATEST_S, Change, parse_change, parse_text
 from mavfi.faults.combined import AND, Start
-from mavfi.faults.fault import Fault, find_level, level_names
+from mavfi.faults.fault import Fault, FliesFrom, find_level, level_names
 from mavfi.faults.injector import Injector
-from mavfi.faults.operations import OPERATIONS, SYNONYMS, PlannedChange, is_trigger, parse_change, parse_text
+from mavfi.faults.operations import OPERATIONS, SYNONYMS
 from mavfi.faults.sampling import share_out
 from mavfi.faults.strata import EACH_CLASS, STRATA
 from mavfi.levels.campaign import SampledCampaign
-from mavfi.record import Injection
+from mavfi.record import Injection, Profile
 from mavfi.states import STATES
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
     from mavfi.flight.host import ArmSetup, Flight, MissionFlights, Recorded
+    from mavfi.flight.instruction_cases import Published
     from mavfi.flight.loop import Loop
 
+Begin = Callable[["Loop", int], Injector]
+"""Injects a fault that has waited into a flight, from an instant on (us); returns its injector."""
 NULL = "null"
 """Target of null runs: the complete path through the injector, with an empty mask; and the text of such a fault."""
 COMBINED = "combined"
@@ -45,8 +49,6 @@ SECONDS = (rf"inf|{DECIMAL}", "a number of seconds, or inf", float)
 """An option whose value is a duration (s), see `Level.options`."""
 _INSTANT = rf"{DECIMAL}([eE][+-]?\d+)?"
 """Pattern of an instant (s)."""
-_LATEST_S = 1e9
-"""Latest instant of a fault (s): far beyond any flight, and still exact in microseconds."""
 
 
 # ---- one fault, as text ----------------------------------------------------------------------------------------------
@@ -282,6 +284,13 @@ Golden = Mapping[str, Sampled]
 """Golden runs of a mission by variant, without failed ones."""
 
 
+def profile_of(golden: Golden) -> Profile:
+    """Publications of the golden run; none without it."""
+    if "" not in golden or golden[""].flight.profile is None:
+        return Profile()
+    return golden[""].flight.profile
+
+
 class Sampler:
     """Draws the faults of a campaign; a pure function of the campaign and of golden runs.
 
@@ -427,6 +436,7 @@ class Level:
         sampling: Model of the key `sampling` in campaigns; None = no campaigns.
         sampler: Draws the faults of a campaign.
         local: Whether flights in this process have its faults: whether `inject` can attach one to the loop.
+        can_wait: Whether its faults can wait for an event of the flight: they have a `time_us`, and an injector.
         form: Form of its text, for messages; "" = it has none.
         options: Options of the text in their order, by name: pattern, description and type of their values.
         operations: What its text may have instead of options, for messages: operations that it parses itself.
@@ -441,6 +451,7 @@ class Level:
     sampling: ClassVar[type[Sampling] | None] = None
     sampler: ClassVar[type[Sampler]]
     local: ClassVar[bool] = False
+    can_wait: ClassVar[bool] = False
     form: ClassVar[str] = ""
     options: ClassVar[Mapping[str, tuple[str, str, type]]] = {}
     operations: ClassVar[tuple[str, ...]] = ()
@@ -464,8 +475,30 @@ class Level:
         """The seed that a fault needs in addition to its text, for random choices during the flight; None = none."""
         return None
 
+    def flies_from(self, fault: Any) -> FliesFrom:
+        """Where flights with a fault are flown from: from take-off, unless nothing happens before it."""
+        return FliesFrom.TAKE_OFF
+
     def inject(self, loop: "Loop", fault: Any, detector: "Detector | None") -> Injector:
-        """Attach the fault to a flight that has not started; returns its injector."""
+        """Attach the fault to a flight, in the place of the tap `loop.taps.injector`; returns its injector.
+
+        The flight has not started; or its tap has watched all earlier publications (`faults.acted_on.CounterWatch`).
+        """
+        raise NotImplementedError
+
+    def wait(self, loop: "Loop", fault: Any, detector: "Detector | None") -> "Begin":
+        """Prepare a flight for a fault that waits for an event; see `can_wait`."""
+        loop.watch_losses()
+
+        def begin(loop: "Loop", time_us: int) -> Injector:
+            return self.inject(loop, replace(fault, time_us=time_us), detector)
+
+        return begin
+
+    def fly_forked(
+        self, setup: "ArmSetup", fault: Any, detector: "Detector | None", *, records: bool = False
+    ) -> "tuple[Flight, list[Published]]":
+        """The flight with a fault that `flies_from` several calls; and its publications, if `records`."""
         raise NotImplementedError
 
     def columns(self, fault: Any) -> dict[str, Any]:
@@ -522,94 +555,49 @@ def instant_us(seconds: str) -> int | None:
         return None
     if not re.fullmatch(_INSTANT, seconds):
         raise BadInputError(f"instant {seconds!r}: allowed: a number of seconds from 0 on, e.g. @12.5")
-    if not float(seconds) <= _LATEST_S:
-        raise BadInputError(f"instant {seconds} s; allowed: 0 to {_LATEST_S:g}")
+    if not float(seconds) <= LATEST_S:
+        raise BadInputError(f"instant {seconds} s; allowed: 0 to {LATEST_S:g}")
     return round(float(seconds) * 1e6)
 
 
-def planned_at(change: PlannedChange, *, is_given: bool) -> tuple[PlannedChange, int | None]:
-    """A change without its earliest instant, and that instant (us); None = it `is_given` nowhere, and so drawn.
-
-    A flight has one time: instants in simulated time are instants of the flight.
-    """
-    start_s = change.when.start_s
-    if not start_s <= _LATEST_S:
-        raise BadInputError(f"instant {start_s:g} s; allowed: 0 to {_LATEST_S:g}")
-    planned = change._replace(when=replace(change.when, start_s=0.0, sim_time=False))
-    if not is_given:
-        return planned, None
-    return planned, round(1e6 * start_s)
-
-
-class ChangeText(NamedTuple):
-    """A change of a value, as it stands behind the site of a fault.
+class ChangeFields(NamedTuple):
+    """A change in the text of a fault, as faults hold it.
 
     Attributes:
-        change: What is done, and when; without bit and earliest instant.
-        bit: Bit of a flip; None = not given.
-        time_us: Earliest instant (us); None = not given.
-        lasts_s: Duration (s); 0 = not given.
+        change: What is done, and when; without the following.
+        bit: Bit of a flip; None = drawn.
+        time_us: Earliest instant (us); None = drawn.
+        lasts_s: Duration (s); 0 = as long as the change says.
     """
 
-    change: PlannedChange
+    change: Change
     bit: int | None
     time_us: int | None
     lasts_s: float
 
 
-def is_change(text: str) -> bool:
-    """Whether the text of a fault in a value has more than the flip of bits from an instant on."""
-    body, _, instant = text.partition("@")
-    names = {part.partition("=")[0] for part in body.split(":")[1:]}
-    return bool(names & {*OPERATIONS, *SYNONYMS, "every"}) or is_trigger(instant)
-
-
-def parse_value_change(parts: Sequence[str], instant: str, *, has_instant: bool) -> ChangeText:
-    """Parse a change of a value: an operation, or a trigger; without an operation, a bit is flipped.
+def parse_fields(text: str, default: str = "") -> ChangeFields:
+    """The change that stands behind the site of a fault, see `faults.changes.parse_text`.
 
     Args:
-        parts: What stands between the site and the `@`.
-        instant: What stands behind the `@`.
-        has_instant: Whether there is an `@`.
-
-    Raises:
-        BadInputError: A part is not understood.
+        text: What is done, how often, and when.
+        default: The operation if the text names none; "" = that is refused.
     """
-    # A duration is that of the fault; all else is the change.
-    lasts_s = 0.0
-    rest = []
-    for part in parts:
-        name, _, value = part.partition("=")
-        if name != "lasts":
-            rest.append(part)
-            continue
-        pattern, description, kind = SECONDS
-        if not re.fullmatch(pattern, value):
-            raise BadInputError(f"lasts: {value!r}: allowed: {description}")
-        lasts_s = kind(value)
-    names = [part.partition("=")[0] for part in rest]
-    if not {*OPERATIONS, *SYNONYMS, "bit"} & set(names):
-        rest.insert(0, "flip")
-    change, time_us = planned_at(parse_change(rest, instant), is_given=has_instant)
-    if lasts_s > 0.0 and "times" not in names:
-        change = change._replace(when=replace(change.when, times=0))
-    # The bit of a flip is that of the fault.
-    bit = change.operation.bit
-    return ChangeText(change._replace(operation=replace(change.operation, bit=None)), bit, time_us, lasts_s)
+    body, at, instant = text.partition("@")
+    parts = body.split(":")
+    if default and not body:
+        parts = []
+    names = {part.partition("=")[0] for part in parts}
+    if default and not names & {*OPERATIONS, *SYNONYMS, "bit"}:
+        parts = [default, *parts]
+    change = parse_change(parts, instant)
+    time_us = None
+    if at:
+        time_us = round(1e6 * change.when.start_s)
+    return ChangeFields(change.without_fields(), change.operation.bit, time_us, change.lasts_s)
 
 
-def change_text(change: PlannedChange, bit: int | None, time_us: int, lasts_s: float) -> str:
-    """The text of a change with bit, earliest instant (us) and duration (s): what `parse_value_change` reads."""
-    operation, when = change
-    dated = PlannedChange(replace(operation, bit=bit), replace(when, start_s=time_us / 1e6))
-    body, at, instant = str(dated).partition("@")
-    lasts = ""
-    if lasts_s > 0.0:
-        lasts = f":lasts={lasts_s}"
-    return f"{body}{lasts}{at}{instant}"
-
-
-def operation_of(text: str) -> PlannedChange:
+def operation_of(text: str) -> Change:
     """A change in the sampling of a campaign, which draws its instant.
 
     Raises:
@@ -620,7 +608,7 @@ def operation_of(text: str) -> PlannedChange:
     return parse_text(text)
 
 
-# ---- checks that the models of `sampling` share ----------------------------------------------------------------------
+# ---- what the models of `sampling` share ----------------------------------------------------------------------
 def check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> None:
     """Raise a ValueError for a name that is not allowed."""
     for name in names:
@@ -645,3 +633,33 @@ def check_strata(strata: Mapping[str, float], *, by_class: bool = False) -> None
     check_known("sampling.strata", sorted(strata), [name for name in STRATA if by_class or name != EACH_CLASS])
     if not strata or not all(0 < share < float("inf") for share in strata.values()):
         raise ValueError(f"sampling.strata: {strata}: need at least one name, and shares above 0")
+
+
+class Lifetime(Config):
+    """Duration and width of state faults; by default one bit of one publication."""
+
+    lasts_s: Annotated[float, Field(ge=0)] | Literal["inf"] = Field(
+        0.0, description="stuck in every publication for this time (s, from 0 on); inf = for ever"
+    )
+    share: float = Field(1.0, gt=0, le=1, description="probability that a publication after the first one is changed")
+    width: int = Field(1, ge=1, le=64, description="adjacent bits")
+    times: int = Field(1, ge=1, description="publications, recomputed ones included, in which it is stuck at least")
+
+
+class SiteGroup(Config):
+    """Fields that share a row of a table; each fault is in one of them, drawn uniformly."""
+
+    name: str
+    sites: tuple[str, ...] = Field(min_length=1, description="state.field; of memories kernel.field")
+    strata: dict[str, float] | None = Field(None, description="instead of the campaign's")
+    lifetime: Lifetime | None = Field(
+        None, description="instead of the campaign's; groups of the same sites then have the same draws"
+    )
+
+
+def group_json(data: dict[str, Any]) -> dict[str, Any]:
+    """Plain data of a sampling with groups, without lifetimes that are not set."""
+    for group in data["groups"]:
+        if group["lifetime"] is None:
+            del group["lifetime"]
+    return data

@@ -7,14 +7,18 @@ import pytest
 import mavfi
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.store import Store
-from mavfi.faults.combined import CombinedFault, Start
-from mavfi.faults.fault import FaultSite, MemoryFault, MessageFault, StateFault
-from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.faults.operations import parse_text
+from mavfi.faults.changes import parse_text
+from mavfi.faults.combined import Start
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.fly import fly
 from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.mission_flights import fly_recorded
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.combined.fault import CombinedFault
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
+from mavfi.levels.memory.fault import MemoryFault
+from mavfi.levels.message.fault import MessageFault
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.pipeline.waypoints import SetpointGenerator
 from tests.campaigns import run_campaign
 from tests.core.flights.missions import GOAL, fault, golden, mission
@@ -155,6 +159,7 @@ CAMPAIGN = {
 }
 
 
+@pytest.mark.long
 def test_a_campaign_draws_several_faults_jointly_and_its_first_ones_as_without_the_others(tmp_path):
     several = Campaign.model_validate(CAMPAIGN)
     single = Campaign.model_validate({**CAMPAIGN, "sampling": {"level": "state"}, "null_runs": 0})

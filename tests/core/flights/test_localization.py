@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mavfi.config import LocalizationConfig
-from mavfi.faults.fault import MemoryFault
 from mavfi.flight.compose import detector_for
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
+from mavfi.levels.memory.fault import MemoryFault
 from mavfi.mission import MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with
 from tests.core.flights.missions import (

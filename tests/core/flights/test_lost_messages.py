@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
+from mavfi.levels.state.fault import StateFault
 from tests.core.flights.missions import Scripted, golden, mission
 
 LOST_AT_S = 3.0

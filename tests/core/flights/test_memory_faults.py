@@ -10,13 +10,14 @@ import pytest
 from mavfi.detectors.detector import part_of
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
-from mavfi.faults.fault import MemoryFault
 from mavfi.flight.compose import detector_for, new_loop
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.memory_faults import ArrayMemory, MemoryInjector, flip_bit
-from mavfi.levels.memory import MemoryRequest, fly_exposed
+from mavfi.levels.memory.exposure import fly_exposed
+from mavfi.levels.memory.fault import MemoryFault
+from mavfi.levels.memory.injector import ArrayMemory, MemoryInjector, flip_bit
+from mavfi.levels.memory.request import MemoryRequest
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
 from mavfi.pipeline.words import change, words_of

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MessageFault
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.levels.level import parse
 from mavfi.levels.message import MessageLevel
+from mavfi.levels.message.fault import MessageFault
 from tests.core.flights.missions import Scripted, golden, mission
 
 
@@ -110,7 +110,7 @@ def test_a_detector_at_the_producer_is_not_asked_again_when_a_message_arrives_la
     MessageLevel().inject(loop, message_fault("message:control.command:duplicate=5@3..4"), None)
     watch(loop, detector, RecoveryPolicy(detector_place="producer"))
     loop.fly()
-    assert detector.seen == loop.record.publications.count["control.command"] - 5 * 50
+    assert detector.seen == loop.record.publications["control.command"] - 5 * 50
 
 
 def test_numbers_in_messages_of_other_programs_are_refused():

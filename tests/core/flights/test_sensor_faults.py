@@ -10,10 +10,10 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import explain
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.sensor.fault import UNITS, SensorFault
 from mavfi.flight.compose import new_loop
 from mavfi.flight.fly import fly
-from mavfi.flight.sensor_faults import SensorInjector
+from mavfi.levels.sensor.fault import UNITS, SensorFault
+from mavfi.levels.sensor.injector import SensorInjector
 from mavfi.report.explain import steps
 from tests.campaigns import run_campaign
 from tests.core.flights.missions import golden, mission

@@ -2,12 +2,23 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavfi.faults.changes import ValueChange
 from mavfi.faults.fault import FaultSite
-from mavfi.faults.levels.state_injector import flip
+from mavfi.faults.operations import Operation
 from mavfi.faults.strata import WORD_BITS
+from mavfi.levels.state.carriers import StateField
 from mavfi.states import STATES, State
 
 SITES = [(spec, field) for spec in STATES.values() for field in dict.fromkeys(field.name for field in spec.fields)]
+
+
+def flip(state, site, bit):
+    """A copy of a state with a flipped bit, and the value before and after."""
+    changed = state.copy()
+    row = 0
+    if state.spec.in_elements(site.field):
+        row = site.element
+    return changed, *ValueChange(Operation("flip", bit=bit)).apply(StateField(changed, site.field, row))
 
 
 @st.composite

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from mavfi.faults.sampling import draw, share_out, stage_target
+from mavfi.faults.sampling import share_out
+from mavfi.levels.state.drawing import draw, stage_target
 from mavfi.record import Profile
 from mavfi.states import STATES
 

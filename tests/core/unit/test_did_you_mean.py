@@ -9,8 +9,8 @@ from mavfi.campaign.requirement import Requirement
 from mavfi.cli import run
 from mavfi.config import parse
 from mavfi.errors import BadInputError
-from mavfi.faults.sampling import stage_target
 from mavfi.flight.host import host_class
+from mavfi.levels.state.drawing import stage_target
 from mavfi.report.figures import drawing
 
 COMMANDS = [

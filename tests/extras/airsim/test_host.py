@@ -10,8 +10,8 @@ from mavfi.extras.airsim import host as module
 from mavfi.extras.airsim.boundary import Boundary, PassedCall
 from mavfi.extras.airsim.config import ProgramConfig
 from mavfi.extras.airsim.host import AirsimProgramHost, ProgramResult, record_of_program
-from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import ArmSetup, find_host
+from mavfi.levels.message.fault import MessageFault
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect, effect_of
 from mavfi.record import Injection

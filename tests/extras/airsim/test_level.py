@@ -7,10 +7,10 @@ from mavfi.campaign.resolve import resolve
 from mavfi.config import parse
 from mavfi.extras.airsim.boundary import PassedCall
 from mavfi.extras.airsim.level import CallLevel, CallSampling
-from mavfi.faults.fault import MessageFault
 from mavfi.flight.host import RunResult
 from mavfi.levels.level import Sampled, draws_of
 from mavfi.levels.message import MessageLevel, MessageSampling
+from mavfi.levels.message.fault import MessageFault
 from mavfi.record import End, FlightRecord
 from mavfi.testing import HostContract, LevelContract
 

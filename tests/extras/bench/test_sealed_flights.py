@@ -3,10 +3,10 @@
 import pytest
 
 from mavfi.extras.bench.sealed import Checksum, Duplicate, Oracle
-from mavfi.faults.fault import StateFault
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
+from mavfi.levels.state.fault import StateFault
 from mavfi.states import KERNELS
 from tests.core.flights.instruction.test_detectors import faults, scenario  # noqa: F401 - a fixture
 from tests.core.flights.missions import fault, golden, mission

@@ -20,7 +20,7 @@ def programs(tmp_path_factory):
         pytest.skip("gcc is not installed")
     binary = tmp_path_factory.mktemp("mini") / "betaflight_0.0.0_SITL"
     subprocess.run(["gcc", "-O1", "-pthread", "-o", binary, HERE / "mini.c"], check=True)
-    return binary, build.compiled("lockstep.c", "-ldl")
+    return binary, build.shim()
 
 
 @pytest.fixture

@@ -1,12 +1,11 @@
 """Where the firmware is found, and the message if something is missing."""
 
-import os
 import shutil
 from pathlib import Path
 
 import pytest
 
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError
 from mavfi.extras.firmware import build
 
 
@@ -46,22 +45,3 @@ def test_another_program_is_refused_and_not_remembered(cache):
     with pytest.raises(BadInputError, match="true: does not run as Betaflight's simulator"):
         build.choose(Path(shutil.which("true")))
     assert not (cache / "betaflight").exists()
-
-
-def test_a_compiler_that_fails_is_quoted(cache, tmp_path, monkeypatch):
-    fake = tmp_path / "bin" / "gcc"
-    fake.parent.mkdir()
-    fake.write_text("#!/bin/sh\necho 'lockstep.c:1: no such header' >&2\nexit 1\n")
-    fake.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{fake.parent}:/bin:/usr/bin")
-    with pytest.raises(MavfiError, match="gcc: lockstep.c:1: no such header"):
-        build.compiled("lockstep.c")
-
-
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
-def test_the_library_is_compiled_once(cache):
-    library = build.compiled("lockstep.c", "-ldl")
-    before = os.stat(library).st_mtime_ns
-    assert build.compiled("lockstep.c", "-ldl") == library
-    assert os.stat(library).st_mtime_ns == before
-    assert library.parent == cache

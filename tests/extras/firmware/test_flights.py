@@ -11,9 +11,9 @@ from mavfi.extras.firmware import betaflight, build
 from mavfi.extras.firmware.host import fly, register_fault
 from mavfi.extras.firmware.injector import CALLS, WALK
 from mavfi.extras.firmware.process import Firmware
-from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import resolve
 from mavfi.flight.loop import Listener
+from mavfi.levels.sensor.fault import SensorFault
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of
 
@@ -22,7 +22,7 @@ from mavfi.outcomes import LOST_TILT, ControlEffect, ControlErrors, control_of
 def _firmware():
     try:
         build.program()
-        build.compiled("lockstep.c", "-ldl")
+        build.shim()
     except BadInputError as error:
         pytest.skip(str(error))
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from mavfi.analysis.views import table
-from mavfi.faults.fault import RegisterFault
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.record import End, Injection, KernelEffect
 from tests.core.unit.analysis.handmade import GOLDEN, flown, golden, injected, runs
 

@@ -7,10 +7,10 @@ from mavfi.extras.hardening.duplicate import candidates
 from mavfi.extras.hardening.observed import functions_of
 from mavfi.extras.hardening.plan import FunctionPlan, signature_text
 from mavfi.extras.hardening.protected import protection_of
-from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.fly import fly
 from mavfi.flight.targets import Targets
 from mavfi.ir.build import environment_of, load_code, name_of
+from mavfi.ir.injection.variant import signature_of
 from mavfi.ir.module import digest_of
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source

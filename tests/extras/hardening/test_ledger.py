@@ -9,7 +9,7 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.ledger import CorruptionRates, HardeningLedger, groups_of
-from mavfi.faults.levels.instruction.table import InjectionSite
+from mavfi.ir.injection.table import InjectionSite
 from mavfi.ir.metadata import Frame
 
 SITE = InjectionSite(0, 3, "fmul", "double", 64, "floating_point", (Frame("m/f.py", 9, ""),))

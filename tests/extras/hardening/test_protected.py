@@ -6,13 +6,13 @@ from mavfi.config import PlatformConfig, shipped
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.plan import ModuleSite, ProtectionPlan, load_plan, save_plan
 from mavfi.extras.hardening.protected import SOURCE
-from mavfi.faults.levels.instruction.variant import signature_of
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.ir.injection.variant import signature_of
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect, effect_of
 from mavfi.pipeline.functions import PLAIN

@@ -10,10 +10,11 @@ from mavfi.errors import BadInputError
 from mavfi.extras.logs.files import Maker
 from mavfi.extras.logs.ned import ned_of
 from mavfi.extras.logs.tlog import Telemetry
-from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.loop import Listener, ObserverListener
+from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionSpec
 from tests.extras.logs.viewer import Viewer
 

@@ -9,7 +9,8 @@ from mavfi.extras.paper.failure_rate import (
     payoffs,
     upsets_per_instruction,
 )
-from mavfi.faults.fault import NO_SITE, InstructionFault
+from mavfi.faults.fault import NO_SITE
+from mavfi.levels.instruction.fault import InstructionFault
 from tests.core.unit.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
 
 HOUR = {

@@ -15,10 +15,9 @@ import pytest
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers import inject
+from mavfi.extras.registers.fault import DEFAULT_WALK, RegisterFault
 from mavfi.extras.registers.injector import inject_once
 from mavfi.extras.registers.ptrace import Tracee
-from mavfi.faults import DEFAULT_WALK
-from mavfi.faults.fault import RegisterFault
 
 
 def tracer_of(pid):

@@ -1,7 +1,7 @@
 """Faults in registers keep the contract of all levels."""
 
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.registers.level import RegisterLevel
-from mavfi.faults.fault import RegisterFault
 from mavfi.flight.host import RunResult
 from mavfi.levels.level import Sampled
 from mavfi.record import End, FlightRecord

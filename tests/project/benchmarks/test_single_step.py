@@ -9,7 +9,7 @@ from benchmarks.destinations import destinations, is_out_of_reach
 from benchmarks.machine_level import DETECTED, entry_of, inject_all, protected
 from benchmarks.single_step import MachineFault, SteppedCall
 from mavfi.extras.registers.registers import decode
-from mavfi.faults.levels.instruction.api import digest
+from mavfi.levels.instruction.api import digest
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import counted_down, fill
 from tests.extras.registers.tracing import require_tracing

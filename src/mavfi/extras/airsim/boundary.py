@@ -1,43 +1,43 @@
 """Faults and a detector at the RPC boundary: in the arguments that the server receives, and in its return values.
 
-A fault is text, `CALL.PATH[:bit=B][@SECONDS]` or `CALL.PATH:bit=B#N`: a bit of one number in the first call of this
-name at or after an instant, or in its N-th.  PATH leads through the arguments by name (`moveByVelocity.vx`,
-`moveOnPath.path.0.x_val`) or, after `return`, through the returned value (`simGetVehiclePose.return.position.z_val`);
-`arguments#K` and `return#K` are the K-th number of all.  A bit is one of the type in AirSim's signature: an argument
-that the program gives as 2 is flipped as the double 2.0.
+A fault in a number is text, `CALL.PATH[:CHANGE]`, one in whole calls `CALL:CHANGE`.  PATH leads through the arguments
+by name (`moveByVelocity.vx`, `moveOnPath.path.0.x_val`) or, after `return`, through the returned value
+(`simGetVehiclePose.return.position.z_val`); `arguments#K` and `return#K` are the K-th number of all.  CHANGE is what
+`mavfi.faults.changes` describes, `set=nan@10..12` or `bit=62#3` (`#N` is short for `@n=N`); without one, a bit that is
+drawn flips in the first call.  A bit is one of the type in AirSim's signature, modulo its width: an argument that the
+program gives as 2 is changed as the double 2.0.
 
-Other operations follow the site, `CALL.PATH:set=nan@10..12`, or the call alone, `CALL:drop:times=3@10` (see
-`mavfi.faults.operations`).  A dropped call is not executed and has the answer of the last one; a delayed one is
-executed later in simulated time; a duplicated one is executed again; a frozen one has the arguments of the first one,
-and its answer, unless it is a task.  Calls are answered in the order in which they come, so none is reordered.
+A dropped call is not executed and has the answer of the last one; a delayed one is executed later in simulated time; a
+duplicated one is executed again; a frozen one has the arguments of the first one, and its answer, unless it is a task.
+Calls are answered in the order in which they come, so none is reordered.
 
 A failure of the vehicle's sensors or motors, `sensor:UNIT:TYPE@SECONDS`, changes what calls measure and do.
 """
 
 import random
 import re
-import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, TextIO
+from typing import Any, TextIO
+
+import numpy as np
 
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.airsim import cameras, flying, scene, sensing
 from mavfi.extras.airsim.calls import RecordedCall
 from mavfi.extras.airsim.table import CALLS
 from mavfi.extras.shared.foreign import Monitor, NamedNumbers, train
-from mavfi.faults.fault import MessageFault
-from mavfi.faults.levels.sensor.failures import Failure
-from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.faults.levels.state_injector import schedule_of
-from mavfi.faults.operations import MessageSchedule, Operation, PlannedChange, changed_number, parse_text
+from mavfi.faults.changes import LATEST_S, Change, ChangeInjector, ValueChange, When, parse_change
+from mavfi.faults.operations import Operation
+from mavfi.levels.message.fault import MessageFault
 from mavfi.levels.sensor import parse_sensor
+from mavfi.levels.sensor.failures import Failure
+from mavfi.levels.sensor.fault import SensorFault
 from mavfi.record import AlarmRecord, Injection
 
 # ---- numbers in arguments and return values --------------------------------------------------------------------------
 Path = tuple[str | int, ...]
-_WORD = 64
 
 
 def count(value: Any) -> int:
@@ -100,117 +100,68 @@ def keys_of(text: str) -> Path:
     return tuple(int(part) if part.isdecimal() else part for part in text.split(".") if part)
 
 
-def make_double(holder: Any, path: Path) -> None:
-    """Turn the integer at a path, if there is one, into a double of the same value; in place."""
-    *outer, last = path
-    try:
-        for key in outer:
-            holder = holder[key]
-        if type(holder[last]) is int:  # a boolean stays one
-            holder[last] = float(holder[last])
-    except (KeyError, IndexError, TypeError):
-        pass
-
-
-_WIDTHS = {"?": 1, "i8": _WORD, "f8": _WORD, "u1": 8}
-"""Number of bits by NumPy's name of a type."""
-
-
-def dtype_of(value: Any) -> str:
-    """NumPy's name of the type of a number; a number of bytes is "u1"."""
-    if isinstance(value, bool):
+def dtype_of(number: Any) -> str:
+    """NumPy's name of the type of a number."""
+    if isinstance(number, bool):
         return "?"
-    if isinstance(value, int):
+    if isinstance(number, int):
         return "i8"
     return "f8"
 
 
-def flipped(value: Any, bit: int) -> Any:
-    """A number with one bit flipped."""
-    if isinstance(value, bool):
-        return not value
-    if isinstance(value, int):
-        (word,) = struct.unpack("<q", struct.pack("<Q", (value & (2**_WORD - 1)) ^ (1 << bit)))
-        return word
-    (raw,) = struct.unpack("<Q", struct.pack("<d", value))
-    return struct.unpack("<d", struct.pack("<Q", raw ^ (1 << bit)))[0]
+class CallNumber:
+    """A number in the arguments or the returned value of a call: what a change reads and writes.
 
-
-class ReplacedNumber(NamedTuple):
-    """A value in which one number was replaced.
-
-    Attributes:
-        holder: The value that holds the number, changed; lists and maps are changed in place.
-        before: The number before.
-        after: The number after.
-    """
-
-    holder: Any
-    before: Any
-    after: Any
-
-
-Replace = Callable[[Any, str], Any]
-"""The number in the place of another one, given that and NumPy's name of its type."""
-
-
-def replace_number(holder: Any, path: Path, replacement: Replace) -> ReplacedNumber:
-    """Replace the number at a path.
-
-    Raises:
-        BadInputError: There is no number at this path, or it cannot be replaced so.
-    """
-    if not path:
-        if not isinstance(holder, (bool, int, float)):
-            raise BadInputError("not a number")
-        after = replacement(holder, dtype_of(holder))
-        return ReplacedNumber(after, holder, after)
-    key, *rest = path
-    if isinstance(holder, bytes) and isinstance(key, int) and key < len(holder):
-        changed = bytearray(holder)
-        changed[key] = replacement(holder[key], "u1")
-        return ReplacedNumber(bytes(changed), holder[key], changed[key])
-    try:
-        inner = holder[key]
-    except (KeyError, IndexError, TypeError):
-        raise BadInputError(f"no number at {key!r}") from None
-    replaced = replace_number(inner, tuple(rest), replacement)
-    holder[key] = replaced.holder
-    return replaced._replace(holder=holder)
-
-
-class BoundaryFlip(NamedTuple):
-    """What a flipped bit has done.
-
-    Attributes:
-        holder: The value that holds the number, changed; lists and maps are changed in place.
-        before: The number before.
-        after: The number after.
-        bit: The flipped bit: the requested one modulo the width of the number.
-    """
-
-    holder: Any
-    before: Any
-    after: Any
-    bit: int
-
-
-def flip(holder: Any, path: Path, bit: int) -> BoundaryFlip:
-    """Flip a bit of the number at a path.
+    Args:
+        container: A list with the value, which is changed in place; bytes in it are replaced.
+        path: Of the number in the list.
+        is_double: Whether AirSim's signature has a double there, which a client may send as a whole number.
 
     Raises:
         BadInputError: There is no number at this path.
     """
-    bits: list[int] = []
 
-    def flip_one(number: Any, dtype: str) -> Any:
-        bits.append(bit % _WIDTHS[dtype])
-        if dtype == "u1":
-            return number ^ (1 << bits[0])
-        return flipped(number, bits[0])
+    def __init__(self, container: Any, path: Path, *, is_double: bool) -> None:
+        self._key: Any
+        *outer, self._key = path
+        self._holders = [container]
+        self._outer = outer
+        try:
+            for key in outer:
+                self._holders.append(self._holders[-1][key])
+            number = self._holders[-1][self._key]
+        except (KeyError, IndexError, TypeError):
+            raise BadInputError("no number at this path") from None
+        if not isinstance(number, (bool, int, float)):
+            raise BadInputError("not a number")
+        self._number = number
+        self.dtype = dtype_of(number)
+        if isinstance(self._holders[-1], bytes):
+            self.dtype = "u1"
+        elif is_double and self.dtype == "i8":
+            self.dtype = "f8"
 
-    replaced = replace_number(holder, path, flip_one)
-    return BoundaryFlip(*replaced, bits[0])
+    @property
+    def bits(self) -> int:
+        """Number of its bits; a flag has one."""
+        if self.dtype == "?":
+            return 1
+        return 8 * np.dtype(self.dtype).itemsize
+
+    def read(self) -> np.ndarray:
+        """The number. Shape (1,)."""
+        return np.array([self._number]).astype(self.dtype)
+
+    def write(self, word: np.ndarray) -> None:
+        """Replace it. Shape (1,)."""
+        number = word[0].item()
+        holder = self._holders[-1]
+        if isinstance(holder, bytes):
+            changed = bytearray(holder)
+            changed[self._key] = number
+            self._holders[-2][self._outer[-1]] = bytes(changed)
+        else:
+            holder[self._key] = number
 
 
 _MODULES = cameras, flying, scene, sensing  # register the calls that faults name
@@ -221,10 +172,8 @@ ARGUMENTS = "arguments"
 RETURN = "return"
 _PATH = rf"(?:{ARGUMENTS}|{RETURN})#\d+|\w+(?:\.\w+)*"
 _TEXT = re.compile(
-    rf"(?P<call>\w+)\.(?P<path>{_PATH})(?::bit=(?P<bit>\d+))?(?:@(?P<at>[\d.eE+-]+)|#(?P<nth>[1-9]\d*))?"
+    rf"(?P<call>\w+)(?:\.(?P<path>{_PATH}))?(?::(?P<operations>[a-z][^@#]*))?(?:@(?P<instant>.+)|#(?P<nth>[1-9]\d*))?"
 )
-_CHANGE = re.compile(rf"(?P<call>\w+)(?:\.(?P<path>{_PATH}))?:(?P<change>[a-z][^#]*)")
-"""Another operation than the flip of one bit, or another trigger."""
 _BITS = 64
 _FORM = (
     "CALL.PATH[:bit=B][@SECONDS] or CALL[.PATH]:OPERATION[@INSTANT], e.g. moveByVelocity.vx:bit=62@10, "
@@ -272,65 +221,49 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault | SensorFault:
     """
     if text.startswith(f"{SensorFault.level}:"):
         return parse_sensor(text, seed)
-    match = _TEXT.fullmatch(text)
-    if match is None:
-        return _parse_change(text, seed)
-
-    # check each part
-    name = match["call"]
-    path = match["path"]
-    bit = match["bit"]
-    at = match["at"]
-    _check_site(text, name, path)
     try:
-        since_s = float(at or 0.0)
-    except ValueError:
-        since_s = -1.0
-    if not 0.0 <= since_s < 1e6:
-        raise BadInputError(f"--fault: {text!r}: @{at}: allowed: 0 to 1e6 s")
-    if bit is not None and int(bit) >= _BITS:
-        raise BadInputError(f"--fault: {text!r}: bit {bit}: allowed: 0 to {_BITS - 1}")
-
-    # what the text leaves out: a bit drawn from the seed, in the first call
-    if bit is None:
-        bit_number = random.Random(seed).randrange(_BITS)
-    else:
-        bit_number = int(bit)
-    nth = int(match["nth"] or 1)
-    return BoundaryFault(MessageFault(name, path, bit_number, nth, seed=seed, time_us=round(1e6 * since_s)))
-
-
-def _check_site(text: str, name: str, path: str) -> None:
-    """Refuse a call or argument that does not exist; `path`: "" = the whole call."""
-    if name not in CALLS:
-        raise BadInputError(f"--fault: {text!r}: call {name!r}: not known; allowed: calls of docs/how-to/airsim.md")
-    head = path.partition(".")[0]
-    arguments = CALLS[name].arguments
-    if head and "#" not in head and head not in (*arguments, RETURN):
-        raise BadInputError(f"--fault: {text!r}: {not_known(head, [*arguments, RETURN])}")
-
-
-def _parse_change(text: str, seed: int) -> BoundaryFault:
-    """Read a fault with another operation than one flip of a bit, or with another trigger."""
-    match = _CHANGE.fullmatch(text)
-    if match is None:
-        raise BadInputError(f"--fault: {text!r}: allowed: {_FORM}")
-    path = match["path"] or ""
-    _check_site(text, match["call"], path)
-    try:
-        change = parse_text(match["change"])
-        operation, when = change
-        if operation.name == "reorder":
-            raise BadInputError("reorder: calls are answered in order; allowed: drop, delay, duplicate, freeze")
-        if operation.name == "flip" and operation.bit is None:
-            operation = replace(operation, bit=random.Random(seed).randrange(_BITS))
-        if operation.bit is not None and operation.bit >= _BITS:
-            raise BadInputError(f"bit {operation.bit}: allowed: 0 to {_BITS - 1}")
-        planned = PlannedChange(operation, replace(when, start_s=0.0))
-        fault = MessageFault(match["call"], path, seed=seed, time_us=round(1e6 * when.start_s), change=planned)
+        return BoundaryFault(_parse(text, seed))
     except BadInputError as error:
         raise BadInputError(f"--fault: {text!r}: {error}") from None
-    return BoundaryFault(fault)
+
+
+def _parse(text: str, seed: int) -> MessageFault:
+    """The fault of a text, in a number or in whole calls."""
+    # the site: a call, an argument or the returned value
+    match = _TEXT.fullmatch(text)
+    if match is None or not (match["path"] or match["operations"]):
+        raise BadInputError(f"allowed: {_FORM}")
+    name = match["call"]
+    path = match["path"] or ""
+    if name not in CALLS:
+        raise BadInputError(f"call {name!r}: not known; allowed: calls of docs/how-to/airsim.md")
+    head = path.partition(".")[0]
+    sides = [*CALLS[name].arguments, RETURN]
+    if head and "#" not in head and head not in sides:
+        raise BadInputError(not_known(head, sides))
+
+    # the change; a bit that is not given is drawn
+    instant = match["instant"] or ""
+    if match["nth"]:
+        instant = f"n={match['nth']}"
+    change = parse_change((match["operations"] or "flip").split(":"), instant)
+    operation, when = change.operation, change.when
+    if operation.name == "reorder":
+        raise BadInputError("reorder: calls are answered in order; allowed: drop, delay, duplicate, freeze")
+    if operation.name == "flip" and operation.bit is None:
+        operation = replace(operation, bit=random.Random(seed).randrange(_BITS))
+    if operation.bit is not None and operation.bit >= _BITS:
+        raise BadInputError(f"bit {operation.bit}: allowed: 0 to {_BITS - 1}")
+    if when.start_s > LATEST_S:
+        raise BadInputError(f"@{instant}: allowed: 0 to {LATEST_S:g} s")
+    time_us = round(1e6 * when.start_s)
+
+    # one flip of one bit is a fault without a change, as those that campaigns draw
+    is_one_flip = operation.name == "flip" and change == Change(change.operation, When(when.first, when.start_s))
+    if is_one_flip and (when.first == 1 or match["nth"]):
+        return MessageFault(name, path, operation.bit, when.first, seed=seed, time_us=time_us)
+    planned = change._replace(operation=operation, when=replace(when, start_s=0.0))
+    return MessageFault(name, path, seed=seed, time_us=time_us, change=planned)
 
 
 @dataclass(frozen=True, slots=True)
@@ -366,15 +299,15 @@ class Boundary:
     injection: Injection | None = None
     passed: list[PassedCall] = field(default_factory=list)
     _count: int = 0
-    _schedule: MessageSchedule | None = field(init=False, default=None)
+    _injector: ChangeInjector = field(init=False)
     _frozen: dict[str, Any] = field(init=False, default_factory=dict)  # first value of what is frozen, by side
     _last_answer: Any = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        planned = self.planned
-        if planned is not None and planned.fault.change is not None:
-            fault = planned.fault
-            self._schedule = schedule_of(fault.planned.when, fault.time_us, fault.seed)
+        if self.planned is not None:
+            fault = self.planned.fault
+            change = fault.planned
+            self._injector = ChangeInjector.of(change._replace(when=change.when.starting_at(fault.time_us)), fault.seed)
 
     @property
     def delays(self) -> bool:
@@ -427,14 +360,12 @@ class Boundary:
     def operation_on(self, name: str, arguments: Sequence[Any], now_us: int) -> Operation | None:
         """What happens to a call as a whole; None = it is served as usual."""
         planned = self.planned
-        if planned is None or planned.fault.field or self._schedule is None or name != planned.fault.topic:
+        if planned is None or planned.fault.field or name != planned.fault.topic:
             return None
-        values = dict(zip(CALLS[name].arguments, arguments, strict=False))
-        if not self._is_due(values, now_us):
+        if not self._is_due(dict(zip(CALLS[name].arguments, arguments, strict=False)), now_us):
             return None
-        operation = planned.fault.planned.operation
-        self._record(now_us, None, None, None, operation, {})
-        return operation
+        self._record(now_us, None, (None, None), {})
+        return planned.fault.planned.operation
 
     @property
     def last_answer(self) -> Any:
@@ -458,110 +389,54 @@ class Boundary:
                 observer.check(source, value, now_us)
 
     def _inject(self, name: str, value: Any, now_us: int, *, in_return: bool) -> Any:
-        """Flip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
-        # whether this is the call of the fault, and has its number
+        """The value, with another number where the fault is due; without such a number it is as it was."""
+        # whether this is a call of the fault
         planned = self.planned
-        if planned is None or in_return != planned.in_return:
+        if planned is None or in_return != planned.in_return or name != planned.fault.topic or not planned.fault.field:
             return value
-        if self._schedule is not None:
-            return self._change(planned, name, value, now_us)
-        if self.injection is not None:
+        numbers = value
+        if not in_return:
+            numbers = dict(zip(CALLS[name].arguments, value, strict=False))
+        if not self._is_due(numbers, now_us):
             return value
-        fault = planned.fault
-        if name != fault.topic or now_us < fault.time_us or not fault.field:
-            return value
-        self._count += 1
-        if self._count < fault.at:
-            return value
+
+        # change its number; a null fault, a flip without a bit, changes it to itself
         path = planned.path_in(value)
-        if path is None:
-            return value
-
-        # flip; a client may send a whole number where AirSim's signature has a double
-        if not in_return and CALLS[name].is_double(path):
-            make_double(value, path)
+        operation = planned.fault.planned.operation
+        bit = operation.bit
+        container = [value]
         try:
-            flipped_once = flip(value, path, fault.bit or 0)
-            after = flipped_once.after
-            value = flipped_once.holder
-            if fault.bit is None:
-                flipped_back = flip(value, path, flipped_once.bit)
-                after = flipped_back.after
-                value = flipped_back.holder
-        except BadInputError:
+            if path is None:
+                raise BadInputError("no such number")
+            is_double = not in_return and CALLS[name].is_double(path)
+            number = CallNumber(container, (0, *path), is_double=is_double)
+            if bit is not None:
+                bit %= number.bits
+                self._injector.value = ValueChange(replace(operation, bit=bit))
+            values = self._injector.change(number)
+        except BadInputError:  # this call has no such number, or one of a type that cannot be changed so
+            self._injector.take_back()
             return value
-
-        # the injection of a null fault has no bit
-        bit = None
-        if fault.bit is not None:
-            bit = flipped_once.bit
-        self.injection = Injection(
-            "message",
-            fault.site,
-            1e-6 * now_us,
-            bit,
-            flipped_once.before,
-            after,
-            True,
-            details={"call": fault.topic, "number": self._count, "path": planned.named(path)},
-        )
-        return value
-
-    def _change(self, planned: BoundaryFault, name: str, value: Any, now_us: int) -> Any:
-        """The value with another number where the fault is due; without such a number it is as it was."""
-        fault = planned.fault
-        assert self._schedule is not None  # precondition
-        if name != fault.topic or not fault.field:
-            return value
-        values = value
-        if not planned.in_return:
-            values = dict(zip(CALLS[name].arguments, value, strict=False))
-        if not self._is_due(values, now_us):
-            return value
-        path = planned.path_in(value)
-        if path is None:
-            self._schedule.take_back()
-            return value
-        if not planned.in_return and CALLS[name].is_double(path):
-            make_double(value, path)
-        operation = fault.planned.operation
-
-        def replacement(number: Any, dtype: str) -> Any:
-            if operation.name == "freeze":
-                return self._frozen.setdefault(fault.field, number)
-            if operation.name == "flip":
-                assert operation.bit is not None  # drawn before
-                return changed_number(replace(operation, bit=operation.bit % _WIDTHS[dtype]), number, dtype)
-            return changed_number(operation, number, dtype)
-
-        try:
-            replaced = replace_number(value, path, replacement)
-        except BadInputError:
-            self._schedule.take_back()
-            return value
-        details = {"path": planned.named(path)}
-        self._record(now_us, operation.bit, replaced.before, replaced.after, operation, details)
-        return replaced.holder
+        self._record(now_us, bit, values, {"path": planned.named(path)})
+        return container[0]
 
     def _is_due(self, values: Any, now_us: int) -> bool:
         """Whether the fault changes this call, whose numbers a condition may read."""
-        assert self._schedule is not None  # precondition
         self._count += 1
-        return self._schedule.due(now_us / 1e6, lambda path: dict(leaves(values)).get(path, float("nan")))
+        return self._injector.due(now_us, lambda path: dict(leaves(values)).get(path, float("nan")))
 
-    def _record(
-        self, now_us: int, bit: int | None, before: Any, after: Any, operation: Operation, details: dict[str, Any]
-    ) -> None:
-        """Record the first changed call, and the number of changed ones."""
-        assert self.planned is not None and self._schedule is not None  # precondition
+    def _record(self, now_us: int, bit: int | None, values: tuple[Any, Any], details: dict[str, Any]) -> None:
+        """Record the first changed call and, unless it is the only one, the number of changed ones."""
+        assert self.planned is not None  # precondition
         fault = self.planned.fault
+        if fault.change is not None:
+            details = {"operation": str(fault.change.operation), **details}
         if self.injection is None:
-            details = {"call": fault.topic, "number": self._count, "operation": str(operation), **details}
-            self.injection = Injection(
-                "message", fault.site, 1e-6 * now_us, bit, before, after, activated=True, details=details
-            )
-        changed = {**self.injection.details, "calls": self._schedule.changed}
-        self.injection = replace(self.injection, details=changed)
+            details = {"call": fault.topic, "number": self._count, **details}
+            self.injection = Injection("message", fault.site, 1e-6 * now_us, bit, *values, True, details=details)
+        if fault.change is not None:
+            changed = {**self.injection.details, "calls": self._injector.changed}
+            self.injection = replace(self.injection, details=changed)
 
 
 class BoundaryWatch:

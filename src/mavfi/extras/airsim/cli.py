@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from mavfi.extras.airsim.boundary import ApiRecording, Boundary, BoundaryFault
     from mavfi.extras.airsim.host import ProgramResult
     from mavfi.extras.airsim.server import AirsimServer
-    from mavfi.faults.levels.sensor.fault import SensorFault
     from mavfi.flight.mission_flights import LocalHost
+    from mavfi.levels.sensor.fault import SensorFault
 
 HELP_PANEL = "Other programs"
 _CLOCKS = ("real", "steps")

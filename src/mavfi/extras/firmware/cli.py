@@ -14,7 +14,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.registers.options import RegistersOption, SeedOption, instant, register_options
 
 if TYPE_CHECKING:
-    from mavfi.faults.fault import RegisterFault
+    from mavfi.extras.registers.fault import RegisterFault
     from mavfi.mission import MissionSpec
 
 HELP_PANEL = "Other programs"

@@ -13,13 +13,13 @@ from mavfi.extras.firmware.build import installed
 from mavfi.extras.firmware.controller import BetaflightController
 from mavfi.extras.firmware.injector import NODE, WALK, FirmwareInjector
 from mavfi.extras.firmware.tracking import Tracking
-from mavfi.faults.fault import RegisterFault
-from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.flight.compose import new_loop, resolve, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
 from mavfi.flight.loop import Listener, LoopRecord
-from mavfi.flight.sensor_faults import inject_sensor_fault
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.sensor.injector import inject_sensor_fault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.outcomes import ControlErrors
 from mavfi.record import CONTROLLER_LOST, KernelEffect

@@ -14,10 +14,10 @@ from dataclasses import replace
 from mavfi.errors import BadInputError
 from mavfi.extras.firmware.process import NEVER, Firmware, StopPoint, fixed_addresses
 from mavfi.extras.registers.addresses import AddressSpace
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.registers.injector import flip_here, injection_of
 from mavfi.extras.registers.ptrace import TargetGoneError, Tracee
 from mavfi.extras.registers.target import not_permitted
-from mavfi.faults.fault import RegisterFault
 from mavfi.record import Injection
 from mavfi.states import State
 

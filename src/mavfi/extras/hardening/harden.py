@@ -18,8 +18,8 @@ from mavfi.extras.hardening.duplicate import candidates, protect
 from mavfi.extras.hardening.ledger import CorruptionRates, HardeningLedger
 from mavfi.extras.hardening.observed import ObservedFunction, observe
 from mavfi.extras.hardening.plan import FunctionKey, FunctionPlan, Kind, ModuleSite, ProtectionPlan
-from mavfi.faults.levels.instruction.table import InjectionSite
 from mavfi.ir.build import KernelSource, environment_of
+from mavfi.ir.injection.table import InjectionSite
 from mavfi.ir.module import Module
 from mavfi.ir.parser import parse_module
 from mavfi.ir.sources import cached_source

@@ -24,9 +24,9 @@ from mavfi.campaign.resolve import ResolvedCampaign, resolve
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.hardening.vulnerability.lines import SDC, no_instruction_faults
-from mavfi.faults.levels.instruction.table import InjectionSite
 from mavfi.flight.targets import Targets
-from mavfi.levels.instruction import campaign_targets
+from mavfi.ir.injection.table import InjectionSite
+from mavfi.levels.instruction.sampling import campaign_targets
 from mavfi.mission import Scenario
 from mavfi.states import PLANNERS
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from mavfi.extras.hardening.compiled import copied
 from mavfi.extras.hardening.plan import FunctionKey, signature_text
-from mavfi.faults.levels.instruction.variant import Variant, signature_of, variant_for
 from mavfi.flight.fly import fly
 from mavfi.flight.targets import Targets
 from mavfi.ir.build import name_of
+from mavfi.ir.injection.variant import Variant, signature_of, variant_for
 from mavfi.ir.sources import cached_source
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN

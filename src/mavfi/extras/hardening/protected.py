@@ -27,13 +27,13 @@ from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.extras.hardening.duplicate import MESSAGE, protect
 from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan, check_code, load_plan, signature_text
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import budget_for
-from mavfi.faults.levels.instruction.api import run_apart
-from mavfi.faults.levels.instruction.variant import Variant
 from mavfi.ir.build import name_of
+from mavfi.ir.injection.variant import Variant
 from mavfi.ir.module import Module
 from mavfi.ir.sources import cached_shape, shape_of
+from mavfi.levels.instruction import budget_for
+from mavfi.levels.instruction.api import run_apart
+from mavfi.levels.instruction.fault import InstructionFault
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import AlarmRecord
 from mavfi.rewriting import KEY, Rewriting

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.errors import BadInputError, not_installed, writing
+from mavfi.errors import BadInputError, writing
 from mavfi.extras.logs.lines import ERROR, INFO, WARN, LogLine, lines_at, lines_of
 from mavfi.extras.logs.ned import euler, ned_of
 from mavfi.extras.shared.frames import Triple, geodetic
 from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics, reading
-from mavfi.extras.shared.message_definition import FORMATS, Leaf
+from mavfi.extras.shared.mavlink_frames import Frame, frame_size, mavlink_dialect, numbers_of
 from mavfi.flight.loop import FlightItem, Loop
 from mavfi.mission import MissionStatus
 from mavfi.record import FlightLog
@@ -29,35 +29,13 @@ from mavfi.states import State
 
 _GROUND_STATION = 250
 """Systems from this number on are ground stations."""
-_KINDS = {code: kind for kind, code in FORMATS.items() if kind not in ("byte", "char", "bool")}
-_MAVLINK_2 = 0xFD
-_HEADERS = {0xFE: 6, _MAVLINK_2: 10}
-"""Size of the header by its first byte, for MAVLink 1 and 2."""
 _STAMP = 8
-_CHECKSUM = 2
-_SIGNATURE = 13
-"""Sizes of what comes before a packet, and behind it."""
+"""Size of the time before a frame (bytes)."""
 _LONGEST_TEXT = 50
 """Characters of one STATUSTEXT; longer texts are sent in chunks."""
 _WITHOUT_NUMBERS = ("BAD_DATA", "STATUSTEXT")
 _UNKNOWN = "UNKNOWN"
 """Start of the name of messages that the dialect does not define."""
-
-
-def _mavlink_dialect(what: str = "MAVLink") -> Any:
-    """The messages of MAVLink's dialect `ardupilotmega`, which includes `common`, from pymavlink.
-
-    Args:
-        what: What needs it, for the message if it is missing.
-
-    Raises:
-        NotInstalledError: It is not installed.
-    """
-    try:
-        from pymavlink.dialects.v20 import ardupilotmega
-    except ImportError:
-        raise not_installed(what, "pymavlink", "logs") from None
-    return ardupilotmega
 
 
 def _chunks_of(text: str) -> list[bytes]:
@@ -93,7 +71,7 @@ class TlogReader:
         """See `FlightLogReader`."""
         path = self._path
         kind = "a telemetry log"
-        _mavlink_dialect(f"{path}, {kind}")
+        mavlink_dialect(f"{path}, {kind}", "logs")
         from pymavlink.mavutil import mavlogfile
 
         with reading(path, kind), closing(mavlogfile(str(path), notimestamps=False)) as link:
@@ -111,14 +89,12 @@ class TlogReader:
         data = self._path.read_bytes()
         offset = 0
         while offset < len(data):
-            magic = data[offset + _STAMP : offset + _STAMP + 3]
-            if len(magic) < 3:
+            size = frame_size(data, offset + _STAMP)
+            if size is None:
                 return True
-            if magic[0] not in _HEADERS:
+            if size == 0:
                 return False  # damaged elsewhere
-            offset += _STAMP + _HEADERS[magic[0]] + magic[1] + _CHECKSUM
-            if magic[0] == _MAVLINK_2 and magic[2] & 1:  # signed
-                offset += _SIGNATURE
+            offset += _STAMP + size
         return offset != len(data)
 
 
@@ -152,7 +128,7 @@ def _all_of(link: Any) -> Iterator[_Received]:
             continue
         kind = type(message)
         if name not in layouts:
-            layouts[name] = RecordLayout(name, _leaves(kind), getattr(kind, "fieldunits_by_name", {}))
+            layouts[name] = RecordLayout(name, numbers_of(kind), getattr(kind, "fieldunits_by_name", {}))
         instance = ""
         field = getattr(kind, "instance_field", None)
         if field is not None:
@@ -181,26 +157,8 @@ def _by_source(received: Sequence[_Received]) -> list[LoggedMessage]:
 
 def _payload(message: Any) -> bytes:
     """Payload of a received message, with the trailing zeros that MAVLink 2 omits."""
-    packet = bytes(message.get_msgbuf())
     size = message.unpacker.size
-    begin = _HEADERS[packet[0]]
-    return packet[begin : begin + min(packet[1], size)].ljust(size, b"\0")
-
-
-def _leaves(kind: Any) -> dict[str, Leaf]:
-    """Place of each number, arrays as name[0], name[1] ...; text is left out."""
-    leaves: dict[str, Leaf] = {}
-    offset = 0
-    codes = bytes(kind.native_format).decode()[1:]
-    for name, code, length in zip(kind.ordered_fieldnames, codes, kind.array_lengths, strict=True):
-        size = struct.calcsize(f"<{code}")
-        if code in _KINDS:
-            names = [name]
-            if length:
-                names = [f"{name}[{index}]" for index in range(length)]
-            leaves |= {path: Leaf(offset + index * size, _KINDS[code]) for index, path in enumerate(names)}
-        offset += size * max(1, length)
-    return leaves
+    return Frame(bytes(message.get_msgbuf()), message).payload[:size].ljust(size, b"\0")
 
 
 # ---- writer ------------------------------------------------------------------------------------------------------
@@ -244,7 +202,7 @@ class FlightMessages:
     """Makes the messages of a flight; a `BadInputError` without pymavlink."""
 
     def __init__(self) -> None:
-        self._dialect = _mavlink_dialect()
+        self._dialect = mavlink_dialect("MAVLink", "logs")
 
     def link(self, file: Any) -> Any:
         """Packs messages of system 1, component 1, and writes each packet to a file-like object."""

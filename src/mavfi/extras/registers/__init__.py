@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from mavfi.errors import BadInputError, MavfiError, naming_extra
 
 if TYPE_CHECKING:
-    from mavfi.faults.fault import RegisterFault
+    from mavfi.extras.registers.fault import RegisterFault
     from mavfi.record import Injection
 
 __all__ = ["inject"]

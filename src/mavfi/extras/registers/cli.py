@@ -10,7 +10,7 @@ from rich.text import Text
 from mavfi.cli import options
 from mavfi.cli.console import check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.faults import DEFAULT_WALK
+from mavfi.extras.registers.fault import DEFAULT_WALK
 from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
     check_seed("--seed", seed)
 
     from mavfi.extras.registers import inject as inject_register
-    from mavfi.faults.fault import RegisterFault
+    from mavfi.extras.registers.fault import RegisterFault
 
     fault = RegisterFault(registers, access, symbol, walk=walk, timeout=timeout, null=null, seed=seed)
     process = _process(pid, others)

@@ -20,10 +20,10 @@ from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers.addresses import AddressSpace
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.registers.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError, await_news
 from mavfi.extras.registers.registers import MachineInstruction, Register, decode, enters_kernel, flip, value_of
 from mavfi.extras.registers.target import busiest_thread, check_target, not_permitted, threads_of
-from mavfi.faults.fault import RegisterFault
 from mavfi.record import Injection
 
 _REACH = 40

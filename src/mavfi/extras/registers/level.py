@@ -11,7 +11,8 @@ from typing import Any, Literal, NoReturn
 from pydantic import Field, model_validator
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import ACCESSES, MAX_WALK, Fault, RegisterFault
+from mavfi.extras.registers.fault import ACCESSES, MAX_WALK, RegisterFault
+from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import stream
 from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import Draw, Golden, Level, Sampler, Sampling, check_distinct, check_known

@@ -26,7 +26,7 @@ SeedOption = Annotated[
 
 def register_options(registers: str | None, seed: int | None, *, has_fault: bool) -> tuple[str, int]:
     """Values of `--registers` and `--register-seed`, which need a register fault."""
-    from mavfi.faults.fault import REGISTERS
+    from mavfi.extras.registers.fault import REGISTERS
 
     for option, value in (("--registers", registers), ("--register-seed", seed)):
         if value is not None and not has_fault:

@@ -14,8 +14,9 @@ from dataclasses import replace
 from typing import TextIO
 
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.registers.injector import inject_once
-from mavfi.faults.fault import RegisterFault, fault_from_json
+from mavfi.faults.fault import fault_from_json
 
 
 def _abandoned() -> bool:

@@ -20,9 +20,9 @@ from mavfi.mission import MissionSpec
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mavfi.extras.registers.fault import RegisterFault
     from mavfi.extras.ros.lockstep.host import RosFlight
     from mavfi.extras.ros.lockstep.plan import FlightPlan
-    from mavfi.faults.fault import RegisterFault
     from mavfi.flight.host import Flight
     from mavfi.levels.level import Request
     from mavfi.mission import Scenario

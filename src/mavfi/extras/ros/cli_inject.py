@@ -18,7 +18,7 @@ from mavfi.errors import BadInputError
 if TYPE_CHECKING:
     from mavfi.extras.ros.ros2.injection import GraphInjection, RunningGraphInjection
     from mavfi.extras.ros.ros2.interposer.page import InterposedFault
-    from mavfi.faults.operations import PlannedChange
+    from mavfi.faults.changes import Change
 
 _MAX_DURATION_S = 7 * 86_400.0
 _POLL_S = 0.02
@@ -122,9 +122,9 @@ def inject(  # noqa: PLR0913 - one parameter per option
     _inject(fault, node, duration, as_json=as_json)
 
 
-def _change(field: str, at: str, options_by_name: dict[str, Any]) -> PlannedChange:
+def _change(field: str, at: str, options_by_name: dict[str, Any]) -> Change:
     """What is done and when, from options; a flip of a drawn bit by default."""
-    from mavfi.faults.operations import parse_change
+    from mavfi.faults.changes import parse_change
 
     parts = []
     for name, value in options_by_name.items():

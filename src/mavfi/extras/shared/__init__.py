@@ -1,1 +1,1 @@
-"""What several extras share: readers of recorded flights, definitions of messages, foreign numbers, frames on Earth."""
+"""What several extras share: log readers, definitions of messages, MAVLink frames, foreign numbers, frames on Earth."""

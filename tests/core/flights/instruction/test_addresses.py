@@ -9,7 +9,7 @@ import pytest
 
 from mavfi.flight.compose import resolve
 from mavfi.flight.from_take_off import fly_instruction_faults
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import code_folder
 from tests.core.architecture.source import ROOT

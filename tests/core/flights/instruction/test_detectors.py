@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.faults.levels.instruction import Profiling
 from mavfi.flight.compose import resolve
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.from_take_off import FromTakeOff, fly_instruction_faults
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.ir.injection.variant import Profiling
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tests.core.flights.missions import Scripted

@@ -9,17 +9,16 @@ import pytest
 from mavfi.campaign import divergence
 from mavfi.campaign.divergence import TimedState
 from mavfi.errors import BadInputError
-from mavfi.faults.levels import instruction
-from mavfi.faults.levels.instruction import MismatchError
-from mavfi.faults.levels.instruction.plan import stratum_of
-from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.instruction_cases import Output, first_difference
 from mavfi.flight.mission_flights import fly_recorded
 from mavfi.ir.forked import WILD
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.ir.injection.variant import MismatchError, variant_for
+from mavfi.levels import instruction
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.plan import stratum_of
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import kernel_jit
 from mavfi.record import plain

@@ -6,9 +6,9 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.mission import MissionPlan
 from mavfi.campaign.resolve import resolve
 from mavfi.campaign.warm_up import warm_up
-from mavfi.faults.levels.instruction import variant
-from mavfi.faults.levels.instruction.build import Built, cached_build
-from mavfi.levels.instruction import InstructionSampling
+from mavfi.ir.injection import variant
+from mavfi.ir.injection.build import Built, cached_build
+from mavfi.levels.instruction.sampling import InstructionSampling
 
 
 def only(detector: str, kernel: str) -> Campaign:
@@ -23,12 +23,13 @@ def only(detector: str, kernel: str) -> Campaign:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "campaign",
     [
         only("recommended", "acceptance"),
-        pytest.param(only("limits", "limits"), marks=pytest.mark.long),
-        *(pytest.param(load_campaign(name), marks=pytest.mark.long) for name in ("kernels", "detector_instructions")),
+        only("limits", "limits"),
+        *(load_campaign(name) for name in ("kernels", "detector_instructions")),
     ],
     ids=lambda campaign: campaign.name,
 )

@@ -10,7 +10,7 @@ from mavfi.flight.fly import fly
 from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.targets import Targets
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.levels.level import parse
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.numerics.jit import KernelDispatcher
@@ -93,6 +93,7 @@ def test_a_detector_is_called_by_its_class_or_the_source_of_its_alarms(name):
     assert flown[0] == flown[1]
 
 
+@pytest.mark.long
 def test_a_dead_flight_controller_stops_the_rotors_until_it_is_back():
     mission = scenario(**MISSION)
     wish = InstructionRequest({"flight_controller": 30}, which="address", restart_s=0.2)

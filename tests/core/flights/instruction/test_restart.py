@@ -6,7 +6,7 @@ import pytest
 
 from mavfi.flight.compose import resolve
 from mavfi.flight.from_take_off import fly_instruction_faults
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 
 pytestmark = pytest.mark.slow

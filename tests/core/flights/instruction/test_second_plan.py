@@ -8,7 +8,7 @@ from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.flight.second_plan import SecondPlan
-from mavfi.levels.instruction import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 

@@ -5,7 +5,10 @@ from dataclasses import replace
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run
-from mavfi.faults.fault import FaultSite, InstructionFault, RegisterFault, StateFault
+from mavfi.extras.registers.fault import RegisterFault
+from mavfi.faults.fault import FaultSite
+from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.record import AlarmRecord, End, EnergyTerms, FlightRecord, Injection, KernelEffect
 
 FAULT = StateFault(FaultSite("planning.waypoint", "x"), 1, 62, "sign_exponent", 0.1875)

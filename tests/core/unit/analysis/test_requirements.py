@@ -8,7 +8,7 @@ from mavfi.analysis.effects import effect_rates
 from mavfi.analysis.requirements import Holds, judge, write_junit
 from mavfi.campaign.requirement import Requirement
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import StateFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.record import End
 from tests.core.unit.analysis import handmade as made
 

@@ -19,10 +19,12 @@ import numpy as np
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.detectors import Detector
-from mavfi.faults.fault import Fault, InstructionFault, StateFault
-from mavfi.faults.levels.state_injector import StateInjector
+from mavfi.faults.fault import Fault
 from mavfi.flight.compose import resolve
 from mavfi.flight.host import ArmSetup, Flight, Host, RunResult
+from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.state.fault import StateFault
+from mavfi.levels.state.injector import StateInjector
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, FlightRecord, Injection, Profile
 from mavfi.states import Stage, new_state, states_with

@@ -8,9 +8,13 @@ from hypothesis import strategies as st
 
 from mavfi.campaign.plan import Plan, RunSpec, Shard
 from mavfi.campaign.resolve import resolve
-from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, RegisterFault, StateFault
+from mavfi.extras.registers.fault import RegisterFault
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.host import Flight
+from mavfi.levels.instruction.fault import InstructionFault
 from mavfi.levels.level import NULL, Sampled
+from mavfi.levels.message.fault import MessageFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.record import Profile
 from mavfi.states import STATES
 from tests.core.unit.campaign.fakes import DETECTOR, golden_profile, small

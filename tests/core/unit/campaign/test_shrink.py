@@ -9,10 +9,10 @@ from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.cli.runs import command
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import StateFault
 from mavfi.faults.strata import WORD_BITS
 from mavfi.levels.level import parse, text_of
-from mavfi.levels.state import change_of
+from mavfi.levels.smaller import change_of
+from mavfi.levels.state.fault import StateFault
 from mavfi.states import STATES
 from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import fly, small

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import NO_SITE, FaultSite, MessageFault, StateFault, fault_from_json
-from mavfi.faults.levels.message.injector import PublicationInjector
-from mavfi.faults.levels.state_injector import StateInjector, injector_of, number_in
-from mavfi.faults.operations import Operation, parse_text
+from mavfi.faults.changes import Change, When, parse_text
+from mavfi.faults.fault import NO_SITE, FaultSite, fault_from_json
+from mavfi.faults.fields import number_in
+from mavfi.faults.operations import Operation
+from mavfi.levels.message.fault import MessageFault
+from mavfi.levels.message.injector import PublicationInjector
+from mavfi.levels.state.fault import StateFault
+from mavfi.levels.state.injector import StateInjector
 from mavfi.states import new_state
 
 COMMAND = "control.command"
@@ -86,7 +90,7 @@ def arriving_values(make, text):
 
 @pytest.mark.parametrize("text", VALUES)
 def test_values_change_as_their_operation_says(text):
-    values, injector = arriving_values(injector_of, text)
+    values, injector = arriving_values(StateInjector, text)
     np.testing.assert_array_equal(values, VALUES[text])
     injection = injector.finish()[0]
     first = parse_text(text).operation.name
@@ -96,14 +100,14 @@ def test_values_change_as_their_operation_says(text):
 
 
 def test_a_duration_begins_with_the_first_change():
-    injector = injector_of(value_fault("set=9:times=0@vx>1", lasts_s=0.04))
+    injector = StateInjector(value_fault("set=9:times=0@vx>1", lasts_s=0.04))
     assert [injector(command(n), PERIOD_US * n).value("vx") for n in range(7)] == [0, 1, 9, 9, 9, 5, 6]
     assert injector.spent and injector.finish()[0].details["publications"] == 3
 
 
 def test_a_list_that_is_empty_is_passed_over_and_a_short_one_is_struck_at_its_end():
     change = parse_text("set=5")
-    injector = injector_of(StateFault(FaultSite("planning.path", "x", 7), change=change))
+    injector = StateInjector(StateFault(FaultSite("planning.path", "x", 7), change=change))
     empty = new_state("planning.path")
     assert injector(empty, 0) is empty and not injector.spent
     assert injector(new_state("planning.path", 3), 1).elements["x"].tolist() == [0, 0, 5]
@@ -112,7 +116,7 @@ def test_a_list_that_is_empty_is_passed_over_and_a_short_one_is_struck_at_its_en
 
 def test_what_never_comes_is_not_activated():
     for fault in (value_fault("set=1@9"), replace(value_fault("set=1"), time_us=NO_SITE)):
-        injector = injector_of(fault)
+        injector = StateInjector(fault)
         assert injector(command(3), 0).value("vx") == 3
         (injection,) = injector.finish()
         assert not injection.activated and injection.before is None
@@ -174,7 +178,7 @@ class Copied(PublicationInjector):
 
     def __call__(self, state, time_us):
         discarded = self.copy()
-        discarded._queue = Queue()
+        discarded._messages._send = lambda state, time_us: None
         PublicationInjector.__call__(discarded, command(99), time_us)
         copy = self.copy()
         seen = PublicationInjector.__call__(copy, state, time_us)
@@ -196,7 +200,7 @@ def test_stored_faults_have_a_change_as_text_and_published_ones_none():
     published = {"topic": "t", "field": "f", "bit": 3, "at": 2, "rate": None, "stratum": "", "weight": 1.0, "seed": 5}
     fault = fault_from_json({"level": "message", **published})
     assert fault.to_json() == {"level": "message", **published}
-    assert fault.planned == (Operation("flip", bit=3), replace(fault.planned.when, first=2))
+    assert fault.planned == Change(Operation("flip", bit=3), When(first=2))
 
 
 @pytest.mark.parametrize(
@@ -220,7 +224,3 @@ def test_stored_faults_have_a_change_as_text_and_published_ones_none():
 def test_changes_that_cannot_be_are_refused(make, message):
     with pytest.raises(BadInputError, match=message):
         make()
-
-
-def test_a_fault_without_a_change_has_the_injector_of_bits():
-    assert type(injector_of(StateFault(FaultSite(COMMAND, "vx"), 0, 3))) is StateInjector

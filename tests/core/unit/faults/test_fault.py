@@ -7,18 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import (
-    NO_SITE,
-    FaultSite,
-    InstructionFault,
-    MemoryFault,
-    MessageFault,
-    RegisterFault,
-    StateFault,
-    fault_from_json,
-    find_level,
-)
-from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.extras.registers.fault import RegisterFault
+from mavfi.faults.fault import NO_SITE, FaultSite, fault_from_json, find_level
+from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.memory.fault import MemoryFault
+from mavfi.levels.message.fault import MessageFault
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.state.fault import StateFault
 
 
 @pytest.mark.parametrize(
@@ -42,7 +37,7 @@ def test_what_only_lasting_faults_have_is_left_out_of_the_others():
     assert not once.lasting and not StateFault(FaultSite("control.command", "vx"), width=2).lasting
     stuck = StateFault(FaultSite("control.command", "vx"), 5, 62, lasts_s=float("inf"), times=2)
     vector = replace(once, bit=1, also=(("vy", 60), ("vz", 3)))
-    assert vector.to_json() == {**once.to_json(), "bit": 1, "also": [["vy", 60], ["vz", 3]]}
+    assert vector.to_json() == {**once.to_json(), "bit": 1, "also": (("vy", 60), ("vz", 3))}
     assert fault_from_json(vector.to_json()) == vector
     assert stuck.lasting and stuck.to_json() == {**once.to_json(), "lasts_s": "inf", "times": 2}
 

@@ -3,23 +3,15 @@
 import math
 import pickle
 import warnings
+from copy import copy
 from itertools import product
 
 import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.operations import (
-    OPERATIONS,
-    Condition,
-    MessageSchedule,
-    Operation,
-    PlannedChange,
-    When,
-    changed_number,
-    happens,
-    parse_text,
-)
+from mavfi.faults.changes import Change, Condition, MessageSchedule, When, happens, parse_text
+from mavfi.faults.operations import OPERATIONS, Operation, changed_number
 
 TIMES = [0.0, 0.5, 1.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0]
 VALUES = [0, 0, 3, 0, 3, 3, 0, 3, 0, 0]
@@ -70,8 +62,8 @@ def test_a_copy_of_a_schedule_goes_on_as_the_original():
     for split in range(len(TIMES)):
         schedule = MessageSchedule(when)
         before = [schedule.due(time, lambda _: 0.0) for time in TIMES[:split]]
-        copy = schedule.copy()
-        for other in (copy, schedule):
+        branch = copy(schedule)
+        for other in (branch, schedule):
             assert before + [other.due(time, lambda _: 0.0) for time in TIMES[split:]] == due(when)
             assert other.is_over
 
@@ -171,12 +163,12 @@ def test_a_text_is_written_as_it_was_read(text):
 
 
 def test_texts_may_leave_out_what_is_usual():
-    assert parse_text("set=1") == PlannedChange(Operation("set", 1.0), When())
-    assert parse_text("drop@3") == PlannedChange(Operation("drop"), When(start_s=3.0))
-    assert parse_text("drop@3..") == PlannedChange(Operation("drop"), When(start_s=3.0, times=0))
-    assert parse_text("drop@3..5") == PlannedChange(Operation("drop"), When(start_s=3.0, end_s=5.0, times=0))
-    assert parse_text("freeze@3") == PlannedChange(Operation("freeze"), When(start_s=3.0, times=0))
-    assert parse_text("duplicate") == PlannedChange(Operation("duplicate", 1.0), When())
+    assert parse_text("set=1") == Change(Operation("set", 1.0), When())
+    assert parse_text("drop@3") == Change(Operation("drop"), When(start_s=3.0))
+    assert parse_text("drop@3..") == Change(Operation("drop"), When(start_s=3.0, times=0))
+    assert parse_text("drop@3..5") == Change(Operation("drop"), When(start_s=3.0, end_s=5.0, times=0))
+    assert parse_text("freeze@3") == Change(Operation("freeze"), When(start_s=3.0, times=0))
+    assert parse_text("duplicate") == Change(Operation("duplicate", 1.0), When())
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
-from mavfi.faults.sampling import draw, draw_in_message, group_target, stage_target
+from mavfi.faults.fault import NO_SITE, FaultSite
+from mavfi.levels.state.drawing import draw, draw_in_message, group_target, stage_target
+from mavfi.levels.state.fault import StateFault
 from mavfi.record import Profile
 from mavfi.states import PPC_STAGES, STATES
 

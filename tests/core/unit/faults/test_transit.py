@@ -9,11 +9,14 @@ from hypothesis import strategies as st
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavfi.faults.fault import NO_SITE, FaultSite, StateFault, fault_from_json
-from mavfi.faults.levels.state_injector import StateInjector
-from mavfi.faults.levels.transit import parse, serialize, with_length
-from mavfi.faults.sampling import draw_in_message, locate_bit, message_bits
+from mavfi.faults.changes import ValueChange
+from mavfi.faults.fault import NO_SITE, FaultSite, fault_from_json
+from mavfi.faults.operations import Operation
 from mavfi.faults.strata import WORD_BITS
+from mavfi.levels.state.carriers import ListLength, parse, serialize
+from mavfi.levels.state.drawing import draw_in_message, locate_bit, message_bits
+from mavfi.levels.state.fault import StateFault
+from mavfi.levels.state.injector import StateInjector
 from mavfi.record import Profile
 from mavfi.states import STATES, new_state
 
@@ -92,7 +95,9 @@ def test_a_wrong_length_is_read_as_ros_reads_it(name, count, data):
     spec, state = STATES[name], random_state(name, count)
     field = data.draw(st.sampled_from([one.name for one in spec.lengths]))
     bit = data.draw(st.integers(0, 31))
-    found, before, after, _ = with_length(state, field, 1 << bit)
+    carrier = ListLength(state, field)
+    before, after = ValueChange(Operation("flip", bit=bit)).apply(carrier)
+    found = carrier.state
     assert (before, after) == (count, count ^ 1 << bit)
     raw, start = serialize(state), spec.header_dtype.itemsize
     for own in spec.elements:

@@ -3,11 +3,15 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.combined import CombinedFault, Start
-from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault, fault_from_json
+from mavfi.faults.combined import Start
+from mavfi.faults.fault import FaultSite, fault_from_json
 from mavfi.flight.host import ArmSetup
 from mavfi.levels.combined import fewer_faults
+from mavfi.levels.combined.fault import CombinedFault
+from mavfi.levels.instruction.fault import InstructionFault
 from mavfi.levels.level import parse, text_of
+from mavfi.levels.memory.fault import MemoryFault
+from mavfi.levels.state.fault import StateFault
 from tests.core.flights.missions import mission
 
 SPEED = StateFault(FaultSite("control.command", "vx"), 4_000_000, 62)

@@ -2,16 +2,21 @@
 
 import numpy as np
 
-from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
-from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.faults.operations import parse_text
+from mavfi.extras.registers.fault import RegisterFault
+from mavfi.faults.changes import parse_text
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.host import Flight, RunResult
 from mavfi.levels.instruction import InstructionLevel
+from mavfi.levels.instruction.fault import InstructionFault
 from mavfi.levels.level import Sampled
 from mavfi.levels.memory import MemoryLevel
+from mavfi.levels.memory.fault import MemoryFault
 from mavfi.levels.message import MessageLevel
+from mavfi.levels.message.fault import MessageFault
 from mavfi.levels.sensor import SensorLevel
+from mavfi.levels.sensor.fault import SensorFault
 from mavfi.levels.state import StateLevel
+from mavfi.levels.state.fault import StateFault
 from mavfi.record import End, FlightRecord, Profile
 from mavfi.states import STATES
 from mavfi.testing import HostContract, LevelContract

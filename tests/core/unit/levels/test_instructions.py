@@ -9,11 +9,14 @@ from mavfi.campaign.mission import MissionPlan, fly_mission
 from mavfi.campaign.plan import Plan
 from mavfi.campaign.resolve import resolve
 from mavfi.detectors.registry import Loaded
-from mavfi.faults.fault import NO_SITE, InstructionFault
+from mavfi.faults.fault import NO_SITE
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.targets import InjectionTarget
-from mavfi.levels import instruction
-from mavfi.levels.instruction import DrawnFaults, InstructionRequest, InstructionSampling
+from mavfi.levels.instruction import drawing
+from mavfi.levels.instruction import sampling as instruction_sampling
+from mavfi.levels.instruction.drawing import DrawnFaults, InstructionRequest
+from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.instruction.sampling import InstructionSampling
 from mavfi.levels.level import draws_of
 from tests.core.unit.campaign import fakes
 from tests.core.unit.campaign.fakes import DETECTOR, small
@@ -52,7 +55,7 @@ def requests(monkeypatch):
         golden = fakes.fly(ArmSetup(scenario), None, None)
         return DrawnFaults(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
 
-    monkeypatch.setattr(instruction, "draw_instruction_faults", draw)
+    monkeypatch.setattr(instruction_sampling, "draw_instruction_faults", draw)
     return asked
 
 
@@ -169,7 +172,7 @@ def test_draws_begin_at_the_given_calls_and_are_else_those_of_stored_campaigns()
 
     def positions(first):
         target = InjectionTarget("pid", {}, "pid")
-        return instruction._KernelDraw(target, 200, request, {"track": counter}, {"track": first}, 3, ()).positions()
+        return drawing._KernelDraw(target, 200, request, {"track": counter}, {"track": first}, 3, ()).positions()
 
     assert [(place.call, place.index) for place in positions(0)[:4]] == [(3, 34), (1, 86), (3, 5), (1, 8)]
     later = positions(2)

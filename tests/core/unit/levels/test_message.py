@@ -7,10 +7,11 @@ import pytest
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.resolve import resolve
-from mavfi.faults.fault import NO_SITE, StateFault
+from mavfi.faults.fault import NO_SITE
 from mavfi.flight.host import Flight
 from mavfi.levels.level import Sampled, parse
 from mavfi.levels.message import MessageLevel
+from mavfi.levels.state.fault import StateFault
 from mavfi.record import Profile
 from mavfi.states import PPC_STAGES, STATES
 

@@ -8,9 +8,9 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.resolve import resolve
 from mavfi.config import parse
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.sensor.fault import FAILING, UNITS
 from mavfi.flight.host import RunResult
 from mavfi.levels.level import Sampled, draws_of
+from mavfi.levels.sensor.fault import FAILING, UNITS
 from mavfi.record import End, FlightRecord
 
 GOLDEN = {"": Sampled(RunResult(FlightRecord(End.FLOWN, flight_time_s=30.0)))}

@@ -7,7 +7,8 @@ from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from mavfi.flight.host import Flight
 from mavfi.levels.level import Sampled
-from mavfi.levels.state import StateLevel, StateSampler, fewer_fields
+from mavfi.levels.state import StateLevel, fewer_fields
+from mavfi.levels.state.sampling import StateSampler
 from mavfi.record import Profile
 from mavfi.states import PUBLISHED_SITES
 from mavfi.states import STATES as SPECS

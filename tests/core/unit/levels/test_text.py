@@ -3,13 +3,13 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite
-from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import resolve
 from mavfi.flight.host import ArmSetup
-from mavfi.levels.instruction import InstructionRequest
+from mavfi.levels.instruction.drawing import InstructionRequest
 from mavfi.levels.level import parse, text_of
-from mavfi.levels.memory import MemoryRequest
+from mavfi.levels.memory.request import MemoryRequest
 from mavfi.levels.sensor import parse_sensor
+from mavfi.levels.sensor.fault import SensorFault
 from mavfi.mission import MissionSpec
 from mavfi.record import Profile
 from mavfi.states import AUTOPILOTS

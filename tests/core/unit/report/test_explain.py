@@ -7,8 +7,10 @@ from mavfi.campaign.divergence import Departure, FirstDifference
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation, explain
 from mavfi.campaign.store import Store
-from mavfi.faults.fault import NO_SITE, FaultSite, InstructionFault, StateFault
+from mavfi.faults.fault import NO_SITE, FaultSite
 from mavfi.flight.host import Flight
+from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS, LIMITED, SILENCED, AlarmRecord, Event, FlightLog, Injection, KernelEffect
 from mavfi.report.explain import alarm_lines, lines, to_json

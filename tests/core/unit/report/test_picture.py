@@ -1,9 +1,10 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.fault import FaultSite
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
+from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionSpec
 from mavfi.record import AlarmRecord
 from mavfi.report.picture import draw_flight

@@ -5,14 +5,14 @@ from collections import Counter
 
 from mavfi.extras.hardening.compiled import copied
 from mavfi.extras.hardening.duplicate import candidates, protect
-from mavfi.faults.levels.instruction import budget_for
-from mavfi.faults.levels.instruction.api import digest
-from mavfi.faults.levels.instruction.build import assemble
-from mavfi.faults.levels.instruction.instrument import instrument
-from mavfi.faults.levels.instruction.variant import Variant, signature_of
 from mavfi.ir.build import environment_of, source_of
 from mavfi.ir.forked import run_in_child
+from mavfi.ir.injection.build import assemble
+from mavfi.ir.injection.instrument import instrument
+from mavfi.ir.injection.variant import Variant, signature_of
 from mavfi.ir.parser import parse_module
+from mavfi.levels.instruction import budget_for
+from mavfi.levels.instruction.api import digest
 
 OUTCOMES = {b"M": "masked", b"S": "sdc", b"D": "detected", b"E": "exception"}
 

@@ -11,9 +11,9 @@ import pytest
 
 from mavfi.extras.hardening.compiled import copied
 from mavfi.extras.hardening.duplicate import candidates, protect
-from mavfi.faults.levels.instruction.api import digest
 from mavfi.ir.build import target_machine
 from mavfi.ir.module import bodies_of, is_floating
+from mavfi.levels.instruction.api import digest
 from tests.core.unit.kernels.cases import CASES as REAL
 from tests.extras.hardening.code.kernels import CASES, blend
 from tests.extras.hardening.code.strikes import Full, module_of, strike_all, variant

@@ -5,9 +5,9 @@ import pytest
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.lockstep.host import LockstepHost
 from mavfi.extras.ros.ros2 import environment
-from mavfi.faults.fault import RegisterFault
 from mavfi.flight.host import ArmSetup, find_host
 from tests.campaigns import run_campaign
 from tests.core.flights.missions import mission

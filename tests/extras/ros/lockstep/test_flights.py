@@ -19,10 +19,10 @@ from mavfi.extras.ros.lockstep.folder import PID
 from mavfi.extras.ros.lockstep.host import fly as fly_there
 from mavfi.extras.ros.lockstep.register_injector import fault_in_node
 from mavfi.extras.ros.processes import is_alive
-from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.compose import detector_for
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly as fly_here
+from mavfi.levels.sensor.fault import SensorFault
 from mavfi.record import FlightLog
 from tests.core.flights.missions import Scripted, fault
 from tests.extras.ros.lockstep.flights import NODES, plan, same, short, there

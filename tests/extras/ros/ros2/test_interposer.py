@@ -14,7 +14,8 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.graph import AgentClient
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault
-from mavfi.faults.operations import MessageSchedule, Operation, When, changed_number, parse_change
+from mavfi.faults.changes import MessageSchedule, When, parse_change
+from mavfi.faults.operations import Operation, changed_number
 from tests.extras.ros.ros2.conftest import NODES, until
 from tests.extras.ros.ros2.messages import BASIC, Messages
 

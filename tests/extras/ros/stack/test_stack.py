@@ -7,12 +7,13 @@ import pytest
 import yaml
 
 from mavfi.errors import BadInputError
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.processes import private_network
 from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.stack.bench_process import BenchClient
 from mavfi.extras.ros.ros2.stack.config import StackConfig
-from mavfi.faults.fault import MessageFault, RegisterFault
-from mavfi.faults.operations import parse_text
+from mavfi.faults.changes import parse_text
+from mavfi.levels.message.fault import MessageFault
 from tests.core.architecture.source import ROOT
 from tests.extras.ros.distributions import BY_DAY, EACH
 
@@ -141,6 +142,7 @@ time.sleep(0.2)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_stack_of_several_nodes_gets_its_inputs_from_a_script(bench, jazzy):
     (jazzy / "double.py").write_text(DOUBLE)
     (jazzy / "publish.py").write_text(PUBLISH)
@@ -167,6 +169,7 @@ def test_a_stack_of_several_nodes_gets_its_inputs_from_a_script(bench, jazzy):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_registers_are_injected_while_the_stack_computes(bench, jazzy):
     trial = bench(golden_runs=1).trial(RegisterFault("general", symbol="rcl_publish", timeout=10.0, seed=3))
     assert trial.injections, trial.reason

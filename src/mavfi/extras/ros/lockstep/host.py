@@ -17,14 +17,14 @@ from mavfi.extras.ros.lockstep.plan import FlightPlan, check_supported
 from mavfi.extras.ros.lockstep.supervisor import ISOLATED
 from mavfi.extras.ros.lockstep.transport import Middleware
 from mavfi.extras.ros.processes import absolute_python_path, private_network
-from mavfi.faults.fault import StateFault
-from mavfi.faults.levels.sensor.fault import SensorFault
-from mavfi.faults.operations import parse_text
+from mavfi.faults.changes import parse_text
 from mavfi.flight.compose import pipeline_config, resolve
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.record import FlightLog, Profile
+from mavfi.record import FlightLog
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import build_world
 
@@ -209,10 +209,9 @@ def _result(folder: Path, plan: FlightPlan) -> Flight:
         raise MavfiError("ROS: the flight ended without a record")
     scenario = plan.scenario
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
+    profile = None
     if plan.profile:
-        profile = Profile.from_bytes((folder / files.PROFILE).read_bytes())
-    else:
-        profile = None
+        profile = files.read_profile(folder)
     return Flight(FlightLog.load(folder / files.FLIGHT), profile, world)
 
 

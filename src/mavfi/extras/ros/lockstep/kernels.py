@@ -17,9 +17,9 @@ from mavfi.extras.ros.lockstep.encoding import (
 )
 from mavfi.extras.ros.lockstep.folder import read_injections, write_injections
 from mavfi.extras.ros.lockstep.ports import Inbox, Ports
-from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.decide import INLINE, RecoveryPolicy
+from mavfi.levels.state.injector import StateInjector
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.ppc import build_pipeline
@@ -157,7 +157,7 @@ class InjectorNode:
     def __init__(self, ports: Ports) -> None:
         fault = ports.plan.state_fault
         assert fault is not None
-        self._inject = injector_of(fault)
+        self._inject = StateInjector(fault)
         self._is_spent = bool(read_injections())  # before a restart of this node
         self._ports = ports
         route = ports.routes[fault.where.state]

@@ -4,14 +4,16 @@ import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.lockstep.folder import flight_folder
 from mavfi.extras.ros.lockstep.transport import Middleware
-from mavfi.faults.fault import RegisterFault, StateFault
-from mavfi.faults.levels.sensor.fault import SensorFault
 from mavfi.flight.decide import INLINE, RecoveryPolicy
+from mavfi.levels.sensor.fault import SensorFault
+from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
@@ -198,9 +200,9 @@ class FlightPlan:
     @property
     def state_fault(self) -> StateFault | None:
         """The fault that the injector's node injects."""
-        if isinstance(self.fault, StateFault):
-            return self.fault
-        return None
+        if self.fault is None or not self.fault.changed_state:
+            return None
+        return cast(StateFault, self.fault)
 
     def immediate_states(self) -> frozenset[str]:
         """States whose values a node publishes immediately, which saves one call each.

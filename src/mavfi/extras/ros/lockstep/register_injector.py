@@ -10,8 +10,8 @@ from pathlib import Path
 
 from mavfi.errors import MavfiError
 from mavfi.extras.registers import inject
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.lockstep.ports import SILENT
-from mavfi.faults.fault import RegisterFault
 from mavfi.record import Event, Injection
 
 PLANNED = "killed as planned"

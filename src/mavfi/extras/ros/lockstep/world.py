@@ -9,17 +9,17 @@ from contextlib import suppress
 from typing import Any
 
 from mavfi.extras.ros.lockstep.encoding import NodeAction
-from mavfi.extras.ros.lockstep.folder import FLIGHT, PROFILE, TIMES, flight_folder, read_injections, write_file
+from mavfi.extras.ros.lockstep.folder import FLIGHT, TIMES, flight_folder, read_injections, write_profile
 from mavfi.extras.ros.lockstep.plan import DETECTOR, INJECTOR, WORLD
 from mavfi.extras.ros.lockstep.ports import Client, Inbox, Loss, NodeLostError, Ports
 from mavfi.extras.ros.lockstep.register_injector import PLANNED, RegisterInjector
 from mavfi.extras.ros.lockstep.remote import Counter, Link, RemoteDetector, RemoteKernel, RemotePublication
 from mavfi.extras.ros.lockstep.views import Views
-from mavfi.faults.levels.state_injector import injector_of
 from mavfi.flight.compose import new_loop, watch
 from mavfi.flight.loop import Listener, Loop, ObserverListener
 from mavfi.flight.restarts import Restarts
-from mavfi.flight.sensor_faults import inject_sensor_fault
+from mavfi.levels.sensor.injector import inject_sensor_fault
+from mavfi.levels.state.injector import StateInjector
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.record import Injection
 from mavfi.states import State
@@ -37,7 +37,7 @@ def fly(ports: Ports) -> None:
     times = {"world_started": started, "nodes_ready": ready, "flight_done": time.time()}
     (flight_folder() / TIMES).write_text(json.dumps(times))
     if flight.profile is not None:
-        write_file(PROFILE, flight.profile.to_bytes())
+        write_profile(flight.profile)
     part = flight_folder() / f"part-{FLIGHT}"
     flight.log.save(part)
     part.rename(flight_folder() / FLIGHT)
@@ -238,5 +238,5 @@ class TopicTap:
         """
         injections: list[Injection] = []
         if self._plan.state_fault is not None:
-            injections = read_injections() or injector_of(self._plan.state_fault).finish()
+            injections = read_injections() or StateInjector(self._plan.state_fault).finish()
         return injections + self._registers.injections

@@ -14,7 +14,8 @@ from typing import NamedTuple
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.graph import absolute
 from mavfi.extras.ros.ros2.interposer.page import InterposedFault, Side
-from mavfi.faults.operations import OPERATIONS, parse_change
+from mavfi.faults.changes import parse_change
+from mavfi.faults.operations import OPERATIONS
 
 FORM = "topic:NAME [take] [FIELD] OPERATION [times=N] [every=N] [share=P] [@WHEN]"
 SERVICE_FORM = "service:NAME request|response [FIELD] OPERATION ..."
@@ -97,5 +98,7 @@ def _parse(words: list[str], seed: int) -> InterposedFault:
     field = ""
     if words and words[0].partition("=")[0] not in _OPTIONS:
         field = words.pop(0)
-    operation, when = parse_change(words, instant)
-    return InterposedFault(site.name, field, operation, when, site.side, seed)
+    change = parse_change(words, instant)
+    if change.lasts_s > 0.0:
+        raise BadInputError("lasts: allowed in flights; here: @START..END")
+    return InterposedFault(site.name, field, change.operation, change.when, site.side, seed)

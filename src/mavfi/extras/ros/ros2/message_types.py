@@ -10,7 +10,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.errors import BadInputError, MavfiError, not_known
 from mavfi.extras.shared.message_definition import Definition
-from mavfi.faults.operations import Operation, When, check_number_operation
+from mavfi.faults.changes import When
+from mavfi.faults.operations import Operation, check_number_operation
 from mavfi.plugins import reason
 
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])*)(?:\.|$)")

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import budget_for, count, draw, histogram, inject, resolve, run_forked
-from mavfi.faults.levels.instruction.api import digest
-from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.ir.forked import WILD
+from mavfi.ir.injection.variant import variant_for
+from mavfi.levels.instruction import budget_for, count, draw, histogram, inject, resolve, run_forked
+from mavfi.levels.instruction.api import digest
+from mavfi.levels.instruction.fault import InstructionFault
 from tests.core.architecture.source import ROOT
 from tests.core.unit.faults.instruction.kernels import LOOP, counted_down, double, fill, loop, raising
 

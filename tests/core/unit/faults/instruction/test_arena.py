@@ -5,13 +5,13 @@ from collections import namedtuple
 import numpy as np
 import pytest
 
-from mavfi.faults.levels import instruction
-from mavfi.faults.levels.instruction.accesses import accesses_of
-from mavfi.faults.levels.instruction.api import digest
-from mavfi.faults.levels.instruction.arena import BASE, SIZE, arena
-from mavfi.faults.levels.instruction.variant import variant_for
 from mavfi.ir.forked import WILD
+from mavfi.ir.injection.accesses import accesses_of
+from mavfi.ir.injection.arena import BASE, SIZE, arena
+from mavfi.ir.injection.variant import variant_for
 from mavfi.ir.parser import Cursor, parse_instruction, tokens_of
+from mavfi.levels import instruction
+from mavfi.levels.instruction.api import digest
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import solved
 
@@ -102,6 +102,7 @@ def test_a_call_in_the_arena_without_a_change_is_the_plain_call():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_an_address_is_planned_and_wild_ones_crash():
     faults = drawn("opcode:getelementptr")
     calls = [instruction.run_forked(shifted, fault, *arguments()) for fault in faults]
@@ -115,6 +116,7 @@ def test_an_address_is_planned_and_wild_ones_crash():
     assert {call.how for call in calls} >= {"crash", "sdc", "masked"}
 
 
+@pytest.mark.long
 def test_a_kernel_whose_memory_belongs_to_a_library_is_not_replayable():
     matrix, right = np.eye(3) * 2.0, np.ones(3)
     fault = instruction.draw(solved, 1, matrix, right, which="address", seed=1)[0]

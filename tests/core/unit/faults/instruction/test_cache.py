@@ -6,9 +6,10 @@ import sys
 import numba
 import pytest
 
-from mavfi.faults.levels.instruction import BuildError, build
-from mavfi.faults.levels.instruction.build import cached_build
 from mavfi.ir import sources as object_cache
+from mavfi.ir.injection import build
+from mavfi.ir.injection.build import cached_build
+from mavfi.levels.instruction import BuildError
 from tests.core.unit.faults.instruction.kernels import closure
 
 FLOAT = (numba.float64,)

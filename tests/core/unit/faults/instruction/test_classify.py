@@ -3,7 +3,7 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.instruction.table import FORM, make_table, parse_selection, short_path
+from mavfi.ir.injection.table import FORM, make_table, parse_selection, short_path
 from mavfi.ir.module import parts, width
 from mavfi.ir.parser import parse_module
 

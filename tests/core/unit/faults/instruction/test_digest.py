@@ -8,10 +8,10 @@ import sys
 import numba
 import pytest
 
-from mavfi.faults.levels.instruction.build import build
-from mavfi.faults.levels.instruction.instrument import instrument
 from mavfi.ir import build as building
 from mavfi.ir.forked import ChildEnd
+from mavfi.ir.injection.build import build
+from mavfi.ir.injection.instrument import instrument
 from mavfi.ir.module import BuildError, digest_of_text
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 from tests.core.unit.kernels.cases import CASES
@@ -19,7 +19,7 @@ from tests.core.unit.kernels.cases import CASES
 COMPILE = """
 import json, sys
 import numba
-from mavfi.faults.levels.instruction.instrument import instrument
+from mavfi.ir.injection.instrument import instrument
 from mavfi.ir.build import source_of
 from tests.core.unit.kernels.cases import CASES
 

@@ -6,11 +6,11 @@ import numba
 import numpy as np
 import pytest
 
-from mavfi.faults.levels.instruction.build import assemble
-from mavfi.faults.levels.instruction.instrument import instrument
-from mavfi.faults.levels.instruction.variant import Variant
 from mavfi.ir.build import source_of
 from mavfi.ir.forked import run_in_child
+from mavfi.ir.injection.build import assemble
+from mavfi.ir.injection.instrument import instrument
+from mavfi.ir.injection.variant import Variant
 from mavfi.numerics.jit import uncached_copy
 from tests.core.unit.faults.instruction.interpreter import HANG, Interpreter, flipped, same, signed
 from tests.core.unit.faults.instruction.kernels import LOOP, STRAIGHT, loop, straight

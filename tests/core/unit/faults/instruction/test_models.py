@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction.plan import plan
-from mavfi.faults.levels.instruction.table import InjectionSite
+from mavfi.ir.injection.table import InjectionSite
+from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.instruction.plan import plan
 
 KINDS = {"double": 64, "i32": 32, "i1": 1, "<2 x double>": 128}
 

@@ -8,10 +8,10 @@ import pytest
 
 from mavfi.campaign.plan import CompletedRun, RunSpec
 from mavfi.campaign.store import Store
-from mavfi.faults.fault import InstructionFault
-from mavfi.faults.levels.instruction import count, draw, run_forked
-from mavfi.faults.levels.instruction.build import cached_build
+from mavfi.ir.injection.build import cached_build
 from mavfi.ir.sources import cached_shape
+from mavfi.levels.instruction import count, draw, run_forked
+from mavfi.levels.instruction.fault import InstructionFault
 from mavfi.record import End, FlightRecord
 
 FLOAT = (numba.float64,)

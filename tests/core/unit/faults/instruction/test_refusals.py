@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.instruction import MismatchError, NotInstrumentableError, count, draw, inject, run_forked
-from mavfi.faults.levels.instruction.instrument import instrument
+from mavfi.ir.injection.instrument import instrument
 from mavfi.ir.parser import parse_module
+from mavfi.levels.instruction import MismatchError, NotInstrumentableError, count, draw, inject, run_forked
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import LOOP, fill, loop
 

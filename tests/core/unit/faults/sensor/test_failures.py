@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.levels.sensor.failures import Failures
-from mavfi.faults.levels.sensor.fault import SensorFault
+from mavfi.levels.sensor.failures import Failures
+from mavfi.levels.sensor.fault import SensorFault
 
 ODOMETRY = np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0, 0.5, 0.6, 0.7])
 THRUSTS = np.array([1.0, 2.0, 3.0, 4.0])

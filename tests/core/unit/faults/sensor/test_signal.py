@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.faults.levels.sensor.failures import Signal
-from mavfi.faults.levels.sensor.fault import BLOCK_US, DELAY_US, DRIFT_US, SLOW_US, TYPES, UNITS, SensorFault
+from mavfi.levels.sensor.failures import Signal
+from mavfi.levels.sensor.fault import BLOCK_US, DELAY_US, DRIFT_US, SLOW_US, TYPES, UNITS, SensorFault
 
 STEP_US, BEGIN_US, LASTS_S = 20_000, 1_000_000, 1.0
 TIMES = range(0, 3_000_000, STEP_US)

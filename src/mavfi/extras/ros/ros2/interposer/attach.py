@@ -10,10 +10,9 @@ from pathlib import Path
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers.remote_call import StoppedThread, function_address
-from mavfi.extras.ros.ros2.interposer.library import library
-from mavfi.extras.ros.ros2.interposer.page import ControlPage
+from mavfi.extras.ros.ros2.interposer.page import ControlPage, library
 
-_NAME = "libmavfi_ros2"
+_NAME = "libmavfi-interposer"
 """Name of the library in the target's memory map, preloaded or loaded late."""
 _LOAD_NOW = 2
 """RTLD_NOW of dlopen."""

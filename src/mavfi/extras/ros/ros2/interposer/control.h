@@ -24,7 +24,7 @@ enum comparison { NO_CONDITION, GREATER_EQUAL, LESS_EQUAL, GREATER, LESS, EQUAL 
 enum report_kind { CHANGED, REFUSED, LOADED, UNLOADED };
 
 typedef struct {
-  // What and when: see mavfi.faults.operations.
+  // What and when: see mavfi.faults.changes.
   uint8_t side, operation, comparison, sim_time;
   int32_t bit;        // -1: drawn from the seed and the number of the message
   uint32_t pid;       // only in this process; 0: in any
@@ -127,7 +127,7 @@ static inline double fault_time(const fault_t *fault) {
   return 1e-9 * (double)(now_ns(CLOCK_MONOTONIC) - control->armed_ns);
 }
 
-/* Counts a message; whether it is changed.  The twin of `Schedule.due` in mavfi.faults.operations.
+/* Counts a message; whether it is changed.  The twin of `MessageSchedule.due` in mavfi.faults.changes.
  * `condition`: value of the condition's field; NaN if the message lacks it, or without a condition. */
 static bool due(fault_t *fault, double condition, uint64_t *number) {
   uint64_t message = atomic_fetch_add(&fault->seen, 1) + 1;

@@ -1,6 +1,6 @@
 /* Faults in the messages of a ROS 2 process, at the boundary from rcl to rmw: any language, any RMW, nothing remapped.
  *
- *   cc -O2 -shared -fPIC -Wl,-Bsymbolic -o libmavfi_ros2.so interposer.c
+ *   cc -O2 -shared -fPIC -Wl,-Bsymbolic -o libmavfi-interposer.so interposer.c
  *
  * Preloaded (LD_PRELOAD, and the page's path in MAVFI_ROS2_PAGE), the functions below replace those of rmw.  Loaded into
  * a running process, mavfi calls `mavfi_attach`, which redirects the calls of its libraries instead (their GOT), and

@@ -12,11 +12,14 @@ import struct
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.extras.ros.ros2.interposer.library import library
-from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation, When
+from mavfi.extras.registers.shared_library import shared_library
+from mavfi.faults.changes import When
+from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation
 
 Side = Literal["publish", "take", "send_request", "take_request", "send_response", "take_response"]
 SIDES: tuple[Side, ...] = ("publish", "take", "send_request", "take_request", "send_response", "take_response")
@@ -303,6 +306,19 @@ class ControlPage:
     def _is_abandoned(self, report: Any) -> bool:
         """Whether the process that was writing a report has ended."""
         return report.pid != 0 and not os.path.exists(f"/proc/{report.pid}")
+
+
+@cache
+def library() -> Path:
+    """The compiled interposer; see `shared_library`."""
+    folder = Path(__file__).parent
+    return shared_library(
+        folder / "interposer.c",
+        "a fault in ROS 2 messages",
+        headers=(folder / "control.h", folder / "introspection.h"),
+        flags=("-std=gnu11", "-s", "-Wl,-Bsymbolic"),
+        libraries=("-lpthread", "-ldl"),
+    )
 
 
 def check_layout() -> None:

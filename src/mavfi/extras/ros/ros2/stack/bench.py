@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from mavfi.errors import BadInputError
 from mavfi.extras.registers import inject
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.processes import children
 from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
@@ -31,7 +32,8 @@ from mavfi.extras.ros.ros2.stack.inputs import inputs_of
 from mavfi.extras.ros.ros2.stack.outputs import LOST, Outputs, compare, digest_of, status_of
 from mavfi.extras.ros.ros2.stack.watching import Publication, alarms_of, train
 from mavfi.extras.shared.foreign import Monitor
-from mavfi.faults.fault import Fault, MessageFault, RegisterFault
+from mavfi.faults.fault import Fault
+from mavfi.levels.message.fault import MessageFault
 from mavfi.outcomes import Effect
 from mavfi.record import AlarmRecord, Injection
 
@@ -179,8 +181,8 @@ class StackBench:
         side: Side = "publish"
         if fault.topic in (*self._stack.input_topics, *(entry["topic"] for entry in self._inputs)):
             side = "take"
-        operation, when = fault.planned
-        return InterposedFault(fault.topic, fault.field, operation, when, side, fault.seed)
+        change = fault.planned
+        return InterposedFault(fault.topic, fault.field, change.operation, change.when, side, fault.seed)
 
     def golden(self) -> PlayedRun:
         """The error-free run, after several equal ones.

@@ -21,12 +21,13 @@ from typing import Any
 
 from mavfi.config import STORED
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.processes import end_with_parent, private_network
 from mavfi.extras.ros.ros2.interposer.page import InterposedFault
 from mavfi.extras.ros.ros2.stack.bench import StackBench, StackTrial
 from mavfi.extras.ros.ros2.stack.clients import ANSWER_S
 from mavfi.extras.ros.ros2.stack.config import StackConfig
-from mavfi.faults.fault import Fault, RegisterFault, fault_from_json
+from mavfi.faults.fault import Fault, fault_from_json
 from mavfi.record import AlarmRecord, Injection
 
 

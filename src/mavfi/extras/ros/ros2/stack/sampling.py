@@ -14,8 +14,9 @@ from pydantic import Field, model_validator
 from mavfi.errors import BadInputError
 from mavfi.extras.registers.level import RegisterLevel
 from mavfi.extras.ros.ros2.stack.config import StackConfig
-from mavfi.faults.fault import Fault, MessageFault
-from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation, PlannedChange, When, check_number_operation
+from mavfi.faults.changes import Change, When
+from mavfi.faults.fault import Fault
+from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation, check_number_operation
 from mavfi.faults.sampling import stream
 from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.level import (
@@ -28,6 +29,7 @@ from mavfi.levels.level import (
     operation_of,
 )
 from mavfi.levels.message import MessageLevel
+from mavfi.levels.message.fault import MessageFault
 
 INPUT_OPERATIONS = ("drop", "freeze")
 """What can be done to whole messages where they are received, as inputs are."""
@@ -108,7 +110,7 @@ class StackSampler(Sampler):
             check_known("sampling.topics", topics, stack.topics)
         except ValueError as error:
             raise BadInputError(str(error)) from None
-        self._changes: dict[str, list[PlannedChange]] = {}
+        self._changes: dict[str, list[Change]] = {}
         for topic in topics:
             changes = [operation_of(text) for text in self.sampling.operations]
             if topic in stack.input_topics:
@@ -130,10 +132,10 @@ class StackSampler(Sampler):
         topics = list(self.targets)
         topic = topics[index % len(topics)]
         random = stream(seed, "null message", topic, environment, index)
-        unchanged = PlannedChange(Operation("scale", 1.0), When())
+        unchanged = Change(Operation("scale", 1.0), When())
         fault = _number_fault(topic, unchanged, _messages(golden, topic), random, seed)
         if fault is None:
-            return MessageFault(topic, seed=seed, change=PlannedChange(Operation("drop"), When(first=_NEVER)))
+            return MessageFault(topic, seed=seed, change=Change(Operation("drop"), When(first=_NEVER)))
         return fault
 
     def _fault(self, requested: Draw, environment: str, golden: Golden) -> MessageFault | None:
@@ -172,7 +174,7 @@ def _messages(golden: Golden, topic: str) -> tuple[tuple[MessageNumbers, ...], .
 
 def _number_fault(
     topic: str,
-    change: PlannedChange,
+    change: Change,
     messages: Sequence[Sequence[MessageNumbers]],
     random: np.random.Generator,
     seed: int,
@@ -216,7 +218,7 @@ def _width(dtype: str) -> int:
     return 8 * np.dtype(dtype).itemsize
 
 
-def _at(change: PlannedChange, index: int) -> PlannedChange:
+def _at(change: Change, index: int) -> Change:
     """The change from a message on, whose number counts from 0 here."""
     return change._replace(when=replace(change.when, first=index + 1))
 

@@ -1,1 +1,0 @@
-"""Fault levels: what can go wrong, one module or folder for each."""

@@ -1,0 +1,1 @@
+"""Instrumented variants of compiled kernels, in which the result of one dynamic instruction can be changed."""
