@@ -181,8 +181,7 @@ class StackBench:
         side: Side = "publish"
         if fault.topic in (*self._stack.input_topics, *(entry["topic"] for entry in self._inputs)):
             side = "take"
-        change = fault.planned
-        return InterposedFault(fault.topic, fault.field, change.operation, change.when, side, fault.seed)
+        return InterposedFault(fault.topic, fault.field, fault.planned, side, fault.seed)
 
     def golden(self) -> PlayedRun:
         """The error-free run, after several equal ones.
@@ -612,7 +611,7 @@ def _injections(
             report.before,
             report.after,
             activated=True,
-            details={"message": report.message, "operation": str(fault.operation), "type": report.dtype},
+            details={"message": report.message, "operation": str(fault.change.operation), "type": report.dtype},
         )
         for report in run.reports
         if report.kind == "changed"
