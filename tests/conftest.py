@@ -97,7 +97,7 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 _SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
-"""Files whose tests take more than half a second of processor time: `make check` leaves them to `make test`."""
+"""Files whose tests take more than about a second: `make check` leaves them to `make test`."""
 
 
 def pytest_ignore_collect(collection_path, config):

@@ -27,9 +27,9 @@ def commands(page, section=""):
     """
     text = (DOCS / page).read_text(encoding="utf-8")
     lines = text[text.index(section) :].splitlines()
-    found = [_COMMENT.sub("", line.strip()) for line in lines if line.startswith("    ")]
-    found += [line[2:] for line in lines if line.startswith("$ ")]
-    return [line for line in found if line and line.split()[0] in _PROGRAMS]
+    shown_commands = [_COMMENT.sub("", line.strip()) for line in lines if line.startswith("    ")]
+    shown_commands += [line[2:] for line in lines if line.startswith("$ ")]
+    return [line for line in shown_commands if line and line.split()[0] in _PROGRAMS]
 
 
 def files(page):
@@ -64,11 +64,11 @@ def follow(page, folder, capsys, fewer=()):
             content = re.sub(pattern, text, content)
         (folder / name).write_text(content, encoding="utf-8")
     for command, shown in sessions(page):
-        program, *words = shlex.split(command)
-        alone = ["--workers", "1"] if words[:2] == ["campaign", "run"] else []
-        assert program == "mavfi" and run([*words, *alone]) == 0, f"{command}: {capsys.readouterr().err}"
+        program, *arguments_of_command = shlex.split(command)
+        alone = ["--workers", "1"] if arguments_of_command[:2] == ["campaign", "run"] else []
+        assert program == "mavfi" and run([*arguments_of_command, *alone]) == 0, f"{command}: {capsys.readouterr().err}"
         printed = capsys.readouterr().out
-        if not fewer or words[0] not in ("campaign", "report"):
+        if not fewer or arguments_of_command[0] not in ("campaign", "report"):
             assert missing(shown, printed) == [], printed
 
 

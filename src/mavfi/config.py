@@ -400,11 +400,10 @@ def shipped(kind: str, model: type[ConfigType], name: str, endings: Iterable[str
     path = config_root() / kind / f"{name}.yaml"
     if is_file(path):
         return load(model, path)
-    raise BadInputError(dropped_name(kind, name) or _unknown_name(kind, name, endings))
+    if dropped_name(kind, name):
+        raise BadInputError(dropped_name(kind, name))
 
-
-def _unknown_name(kind: str, name: str, endings: Iterable[str]) -> str:
-    """The message on a name that no shipped configuration of a kind has."""
+    # neither a name nor a file: what there is
     *others, last = dict.fromkeys([".yaml", *endings])
     files = last
     if others:
@@ -412,8 +411,8 @@ def _unknown_name(kind: str, name: str, endings: Iterable[str]) -> str:
     singular = _SINGULARS.get(kind, kind.removesuffix("s"))
     also = f"or a path to a {files} file"
     if is_dir(Path(name)):
-        return f"{singular} {name!r}: is a folder; allowed: {allowed(names(kind), name)}, {also}"
-    return f"{singular} {not_known(name, names(kind), also)}"
+        raise BadInputError(f"{singular} {name!r}: is a folder; allowed: {allowed(names(kind), name)}, {also}")
+    raise BadInputError(f"{singular} {not_known(name, names(kind), also)}")
 
 
 def names(kind: str) -> list[str]:

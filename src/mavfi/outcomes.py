@@ -149,22 +149,19 @@ def control_of(golden: FlightRecord | None, injected: FlightRecord) -> ControlEf
 
     # How well it followed its set-points; an accident of a vehicle that follows them well is not one of control.
     is_healthy = not errors.beyond(HEALTHY)
-    is_lost = errors.beyond(LOST) or injected.status == MissionStatus.INVALID_STATE.label
-    if is_lost or (injected.status in _ASTRAY and not is_healthy):
+    is_out_of_control = errors.beyond(LOST) or injected.status == MissionStatus.INVALID_STATE.label
+    if is_out_of_control or (injected.status in _ASTRAY and not is_healthy):
         return ControlEffect.LOST
-    if is_healthy and not _is_worse(golden, injected):
-        return ControlEffect.SLIGHT
-    return ControlEffect.DEGRADED
 
-
-def _is_worse(golden: FlightRecord, injected: FlightRecord) -> bool:
-    """Whether a mission is lost that succeeds in the golden run, or takes clearly more time or energy."""
+    # A mission is worse if it is lost, or takes clearly more time or energy, where the golden run succeeds.
     success = MissionStatus.SUCCESS.label
-    if golden.status != success:
-        return False
+    is_lost = injected.status != success
     is_longer = injected.flight_time_s > (1.0 + LONGER) * golden.flight_time_s
     is_costlier = energy(injected.energy) > (1.0 + COSTLIER) * energy(golden.energy)
-    return injected.status != success or is_longer or is_costlier
+    is_worse = golden.status == success and (is_lost or is_longer or is_costlier)
+    if is_healthy and not is_worse:
+        return ControlEffect.SLIGHT
+    return ControlEffect.DEGRADED
 
 
 # ---- Quality of flight: flight time, energy and distance of a flight, computed from its record alone.

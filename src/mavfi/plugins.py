@@ -17,12 +17,11 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.machinery import PathFinder
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from traceback import walk_tb
-from types import FrameType
 from typing import Any, NamedTuple
 
 from mavfi.dropped import dropped_name
@@ -38,6 +37,24 @@ _CODE_FILES = (".xacro",)
 """Extensions of files that are not only data: xacro evaluates their expressions in Python."""
 _OWN = __name__.partition(".")[0]
 """The package of mavfi itself."""
+
+
+@dataclass
+class _RememberedNames:
+    """Names that the user has allowed in the ledgers that this process has opened.
+
+    Attributes:
+        unchanged: Allowed in this process, too; no reason to remember them for other ledgers.
+        changed: They have another source now.
+        absent: Their module is not found from this folder: the file that it had, by name.
+    """
+
+    unchanged: set[str] = field(default_factory=set)
+    changed: set[str] = field(default_factory=set)
+    absent: dict[str, str] = field(default_factory=dict)
+
+
+_remembered_names = _RememberedNames()
 _loaded: dict[str, dict[str, Any]] = {}
 """Plug-ins loaded in this process: by top-level package or module, the objects by the name that was requested."""
 
@@ -83,10 +100,11 @@ def require_allowed(what: str, name: str) -> None:
     if _is_allowed(name):
         return
     why = "named in a file, and so not run"
-    if name in _absent:
-        why = f"allowed for this ledger, but no longer imported from here; it was in {_absent[name]}"
+    if name in _remembered_names.absent:
+        file = _remembered_names.absent[name]
+        why = f"allowed for this ledger, but no longer imported from here; it was in {file}"
         raise NotAllowedError(f"{what} {name!r}: {why}; allowed: from the folder of that file")
-    if name in _changed:
+    if name in _remembered_names.changed:
         why = "its source has changed since you allowed it for this ledger"
     raise NotAllowedError(
         f"{what} {name!r}: {why}; allowed: entry points of installed packages, or any with --allow-plugins"
@@ -109,21 +127,15 @@ def extensions(group: str) -> dict[str, Any]:
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
         try:
             loaded[point.name] = point.load()
-        except ModuleNotFoundError as error:
-            missing = missing_package(error, f"{point.name} ({group})")
-            if missing is not None:
-                raise missing from None
-            raise _not_importable(point, group, error) from None
         except Exception as error:  # noqa: BLE001 - whatever another package raises while it is imported
-            raise _not_importable(point, group, error) from None
+            missing = None
+            if isinstance(error, ModuleNotFoundError):
+                missing = missing_package(error, f"{point.name} ({group})")
+            raise missing or BadInputError(
+                f"entry point {point.name!r} of {group}: {point.value} cannot be imported ({reason(error)}); allowed: "
+                "without the package that brings it"
+            ) from None
     return loaded
-
-
-def _not_importable(point: EntryPoint, group: str, error: Exception) -> BadInputError:
-    return BadInputError(
-        f"entry point {point.name!r} of {group}: {point.value} cannot be imported ({reason(error)}); allowed: without "
-        "the package that brings it"
-    )
 
 
 @dataclass(frozen=True)
@@ -322,8 +334,12 @@ def plugin_failure(error: BaseException) -> str:
         if package == _OWN:
             break
         if package in _loaded:
+            # the plug-in whose method the frame executes, or else the first one of its package
+            executing_class = type(frame.f_locals.get("self"))
+            plugins = _loaded[package]
+            name = next((name for name, plugin in plugins.items() if plugin is executing_class), next(iter(plugins)))
             file = Path(frame.f_code.co_filename).name
-            return f"{_plugin_in(frame, _loaded[package])}: {reason(error)} ({file}:{line}, {frame.f_code.co_name})"
+            return f"{name}: {reason(error)} ({file}:{line}, {frame.f_code.co_name})"
     return ""
 
 
@@ -347,27 +363,10 @@ def _package(module: str) -> str:
     return module.partition(".")[0]
 
 
-def _plugin_in(frame: FrameType, plugins: Mapping[str, Any]) -> str:
-    """Name of the plug-in whose method a frame executes, or else of the first one of its package."""
-    executing_class = type(frame.f_locals.get("self"))
-    for name, plugin in plugins.items():
-        if plugin is executing_class:
-            return name
-    return next(iter(plugins))
-
-
 # ---- code of a ledger that its user has allowed before ---------------------------------------------------------------
 
 _TRUST = "trusted-plugins.json"
 """File in the user's own state folder: by ledger, the names that are allowed in it, each with file and hash."""
-_allowed_by_trust: set[str] = set()
-"""Names that are allowed in this process because they were remembered: no reason to remember them for other ledgers."""
-
-
-_changed: set[str] = set()
-"""Names that were allowed in a ledger, and have another source now."""
-_absent: dict[str, str] = {}
-"""Names that were allowed in a ledger, and whose module is not found from this folder: the file that it had."""
 
 
 class _Source(NamedTuple):
@@ -397,15 +396,15 @@ def use_ledger(directory: Path, content: object) -> None:
         source = _source_of(name)
         if source is None:
             if name in of_ledger:
-                _absent[name] = of_ledger[name][0]
+                _remembered_names.absent[name] = of_ledger[name][0]
             continue
         if of_ledger.get(name) == list(source) and not _is_allowed(name):
-            _allowed_by_trust.add(name)
+            _remembered_names.unchanged.add(name)
             _allow([name])
-        elif _is_allowed(name) and name not in _allowed_by_trust:
+        elif _is_allowed(name) and name not in _remembered_names.unchanged:
             sources[name] = list(source)
         elif name in of_ledger:
-            _changed.add(name)
+            _remembered_names.changed.add(name)
     if sources != of_ledger:
         _remember({**remembered, ledger: sources})
 

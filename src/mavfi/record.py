@@ -174,24 +174,6 @@ class Profile:
     times_us: dict[str, np.ndarray] = field(default_factory=dict)
     counts: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def to_bytes(self) -> bytes:
-        """Compressed form for the ledger."""
-        buffer = io.BytesIO()
-        arrays: dict[str, Any] = {f"t:{name}": times for name, times in self.times_us.items()}
-        arrays |= {f"n:{name}": counts for name, counts in self.counts.items()}
-        np.savez_compressed(buffer, **arrays)
-        return buffer.getvalue()
-
-    @staticmethod
-    def from_bytes(content: bytes) -> "Profile":
-        """Inverse of `to_bytes`."""
-        with np.load(io.BytesIO(content)) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        return Profile(
-            {name[2:]: array for name, array in arrays.items() if name.startswith("t:")},
-            {name[2:]: array for name, array in arrays.items() if name.startswith("n:")},
-        )
-
 
 @dataclass(slots=True)
 class FlightLog:
@@ -267,7 +249,10 @@ class FlightLog:
         """
         try:
             arrays = read_arrays(Path(path))
-            rows = _table(arrays)
+            columns = [arrays[name] for name in COLUMNS]
+            if any(column.ndim != 1 or column.dtype.kind not in "fiu" for column in columns) or not len(columns[0]):
+                raise ValueError("columns: allowed: one number per control tick, one tick or more")
+            rows = np.column_stack(columns).astype(np.float64)
             stored = checked(_Stored, json.loads(str(arrays["record"])), "record")
             status = MissionStatus[stored.status]
             events = [Event(*event) for event in stored.events]
@@ -293,14 +278,6 @@ class _Stored:
     alarms: list[AlarmRecord]
     meta: dict[str, Any]
     kernel: KernelEffect | None
-
-
-def _table(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The columns as one table; a ValueError if they are invalid."""
-    columns = [arrays[name] for name in COLUMNS]
-    if any(column.ndim != 1 or column.dtype.kind not in "fiu" for column in columns) or not len(columns[0]):
-        raise ValueError("columns: allowed: one number per control tick, one tick or more")
-    return np.column_stack(columns).astype(np.float64)
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:

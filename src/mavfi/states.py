@@ -90,18 +90,12 @@ PLANNERS: dict[str, tuple[str, ...]] = {
 """Functions called by the kernel `planner`, by the mission's planner: path search and shortening."""
 
 
-def _injectable() -> dict[str, tuple[str, ...]]:
-    """See `INJECTABLE`."""
-    functions: dict[str, tuple[str, ...]] = {}
-    for spec in _KERNEL_TABLE:
-        if spec.name == "planner":
-            functions.update(PLANNERS)
-        elif spec.functions:
-            functions[spec.name] = spec.functions
-    return functions
-
-
-INJECTABLE = _injectable()
+INJECTABLE: dict[str, tuple[str, ...]] = {}
+for _spec in _KERNEL_TABLE:
+    if _spec.name == "planner":
+        INJECTABLE.update(PLANNERS)
+    elif _spec.functions:
+        INJECTABLE[_spec.name] = _spec.functions
 """Functions by the kernel names of instruction faults, as in the paper's Fig. 3; for the planner, planner names."""
 INJECTED_KERNEL: dict[str, str] = {name: name for name in INJECTABLE} | dict.fromkeys(PLANNERS, "planner")
 """Row of `KERNELS` by the same name."""
@@ -282,6 +276,13 @@ class State:
     def same_bits(self, other: "State") -> bool:
         """Whether both have the same bits (NaNs compare as bit patterns)."""
         return self.header.tobytes() == other.header.tobytes() and self.elements.tobytes() == other.elements.tobytes()
+
+
+def differing_rows(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Indices at which two arrays of one type and length differ bitwise, NaNs and signed zeros included."""
+    size = first.dtype.itemsize
+    bits = [np.ascontiguousarray(values).view(np.uint8).reshape(-1, size) for values in (first, second)]
+    return np.flatnonzero((bits[0] != bits[1]).any(axis=1))
 
 
 def floats(header: np.ndarray, count: int) -> np.ndarray:

@@ -176,20 +176,17 @@ def _locate(
         if field is not None:
             annotation = field.annotation
     elif get_origin(kind) in (dict, list, tuple):
-        annotation = _element_kind(get_args(kind), first)
+        # the element's annotation; of a dictionary that of its values, which is the last one
+        arguments = get_args(kind)
+        position = -1
+        if isinstance(first, int):
+            position = min(first, len(arguments) - 1)
+        annotation = arguments[position]
+        if annotation is Ellipsis:  # tuple[X, ...]
+            annotation = arguments[0]
     else:
         return owner, location
     if not rest:
         return owner, (first,)
     owner, inner = _locate(owner, annotation, tuple(rest))
     return owner, (first, *inner)
-
-
-def _element_kind(arguments: tuple[Any, ...], key: int | str) -> Any:  # noqa: ANN401
-    """Annotation of an element, given the arguments of a list's, tuple's or dictionary's annotation, and its key."""
-    position = -1  # of a dictionary: its values
-    if isinstance(key, int):
-        position = min(key, len(arguments) - 1)
-    if arguments[position] is Ellipsis:  # tuple[X, ...]
-        return arguments[0]
-    return arguments[position]

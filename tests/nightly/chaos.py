@@ -86,10 +86,10 @@ class Campaign(CampaignFolder):
     def look(self):
         """Living processes by role; the command's children are workers, theirs are flights."""
         workers = children(self.process.pid)
-        found = {"command": [self.process.pid], "worker": workers, "flight": sum(map(children, workers), [])}
+        pids = {"command": [self.process.pid], "worker": workers, "flight": sum(map(children, workers), [])}
         for pid in [self.process.pid, *descendants(self.process.pid)]:
             self.seen[pid] = begun(pid)
-        return found
+        return pids
 
     def wait(self, seconds):
         """Whether it ended within a time; looks at its processes meanwhile."""
@@ -124,10 +124,10 @@ def _stat(pid):
 def words_of(pid):
     """Its command line and state, shortened."""
     try:
-        words = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        command_line = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
     except OSError:
         return "gone"
-    return f"{words[:160]}, state {(_stat(pid) or ['gone'])[0]}"
+    return f"{command_line[:160]}, state {(_stat(pid) or ['gone'])[0]}"
 
 
 def begun(pid):
@@ -144,11 +144,11 @@ def lives(pid, start):
 
 def children(pid):
     """Processes that a process has started; of threads too."""
-    found = []
+    pids = []
     with suppress(OSError):  # it has ended
         for path in Path(f"/proc/{pid}/task").glob("*/children"):
-            found += [int(word) for word in path.read_text(encoding="ascii").split()]
-    return found
+            pids += [int(word) for word in path.read_text(encoding="ascii").split()]
+    return pids
 
 
 def descendants(pid):
@@ -160,14 +160,14 @@ def strike(campaign, draw):
     """One signal; gives what was hit, with what, and whether somebody was there."""
     role, number = draw.choice(ROLES), draw.choice(SIGNALS)
     for _ in range(100):  # flights are short
-        found = campaign.look()[role]
-        if found or campaign.process.poll() is not None:
+        candidates = campaign.look()[role]
+        if candidates or campaign.process.poll() is not None:
             break
         time.sleep(0.02)
-    if not found:
+    if not candidates:
         return role, number.name, False
     try:
-        target = draw.choice(found)
+        target = draw.choice(candidates)
         os.kill(target, number)
         if number == signal.SIGSTOP:
             time.sleep(draw.uniform(0.05, 1.5))
@@ -227,21 +227,21 @@ def differences(campaign, reference):
     """What differs from the campaign that nobody disturbed, a line each."""
     digest, files, _ = reference
     log = campaign.log.read_text(encoding="utf-8", errors="replace")
-    found = []
+    lines = []
     if campaign.process.returncode != 0:
         return [f"exit code {campaign.process.returncode}: {log[-300:]}"]
     if campaign.digest() != digest:
-        found.append(f"the ledger differs: {campaign.digest()} instead of {digest}")
+        lines.append(f"the ledger differs: {campaign.digest()} instead of {digest}")
     if campaign.files() != files:
-        found.append(f"files are left: {sorted(set(campaign.files()) - set(files))}")
-    found += [f"a traceback: {text}" for text in tracebacks(log)[:1]]
-    return found
+        lines.append(f"files are left: {sorted(set(campaign.files()) - set(files))}")
+    lines += [f"a traceback: {text}" for text in tracebacks(log)[:1]]
+    return lines
 
 
 def tracebacks(log):
     """Beginnings of the tracebacks in a log, without those of Python's tracker of semaphores after its own death."""
-    parts = [part[:600] for part in log.split("Traceback")[1:]]
-    return [part for part in parts if "multiprocessing/resource_tracker.py" not in part]
+    traces = [part[:600] for part in log.split("Traceback")[1:]]
+    return [part for part in traces if "multiprocessing/resource_tracker.py" not in part]
 
 
 def say(text):
@@ -262,16 +262,16 @@ def main():
         number = 0
         while hits.total() < kills:
             level = levels[number % len(levels)]
-            place = Path(folder) / str(number)
-            found = disturbed(
+            folder_of_run = Path(folder) / str(number)
+            problems = disturbed(
                 level,
-                place,
+                folder_of_run,
                 references[level],
                 min(KILLS_PER_CAMPAIGN, kills - hits.total()),
                 draw,
                 lambda hit: hits.update([hit]),
             )
-            for line in found:
+            for line in problems:
                 wrong.append(f"{level} {number}: {line}")
                 say(wrong[-1])
             number += 1

@@ -83,9 +83,9 @@ def content(folder):
         return f"{type(error).__name__}: {error}"
 
 
-def is_earlier(found, sound):
+def is_earlier(stored, sound):
     """Whether it is an earlier state of the same campaign, and says so: runs and missions are left to be done."""
-    (meta, runs, complete, _), (whole_meta, whole_runs, _, _) = found, sound
+    (meta, runs, complete, _), (whole_meta, whole_runs, _, _) = stored, sound
     return (
         not complete
         and all(value in (None, whole_meta[key]) for key, value in meta.items())
@@ -93,7 +93,7 @@ def is_earlier(found, sound):
     )
 
 
-def said(folder, verb):
+def printed_by(folder, verb):
     """Exit code and text of a verb; a traceback is raised."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -122,18 +122,18 @@ class Bench:
 
         Contents of others may be allowed as a whole.  What `loses` the last that was written may be an earlier state.
         """
-        found = content(self.place)
+        stored = content(self.place)
         verb = self.draw.choice(VERBS)
         fault = ""
-        if isinstance(found, str):
+        if isinstance(stored, str):
             self.judged[kind, "refused"] += 1
-            fault = self._refusal(found, verb) if found.startswith("refused: ") else found
-        elif found in (self.contents[name], *(self.contents[other] for other in allowed)):
+            fault = self._refusal(stored, verb) if stored.startswith("refused: ") else stored
+        elif stored in (self.contents[name], *(self.contents[other] for other in allowed)):
             self.judged[kind, "without effect"] += 1
-            if self.judged.total() % _EVERY == 0 and name != "killed" and found == self.contents[name]:
-                words = said(self.place, verb)
-                fault = "" if words == self._words(name, verb) else f"{verb}: says something else"
-        elif loses and is_earlier(found, self.contents[name]):
+            if self.judged.total() % _EVERY == 0 and name != "killed" and stored == self.contents[name]:
+                printed = printed_by(self.place, verb)
+                fault = "" if printed == self._words(name, verb) else f"{verb}: says something else"
+        elif loses and is_earlier(stored, self.contents[name]):
             self.judged[kind, "not complete"] += 1
         else:
             fault = "silent"
@@ -143,14 +143,14 @@ class Bench:
     def _words(self, name, verb):
         """What a verb says of a sound ledger at the place of the damaged one."""
         if (name, verb) not in self.words:
-            self.words[name, verb] = said(self.copied(name), verb)
+            self.words[name, verb] = printed_by(self.copied(name), verb)
         return self.words[name, verb]
 
-    def _refusal(self, found, verb):
-        if "\n" in found or str(self.place) not in found:
-            return f"not one line that names the ledger: {found}"
+    def _refusal(self, stored, verb):
+        if "\n" in stored or str(self.place) not in stored:
+            return f"not one line that names the ledger: {stored}"
         try:
-            code, _, err = said(self.place, verb)
+            code, _, err = printed_by(self.place, verb)
         except Exception as error:
             return f"{verb}: {type(error).__name__}: {error}"
         return "" if code == 2 and err.count("\n") == 1 else f"{verb}: exit code {code}: {err}"
@@ -264,13 +264,13 @@ def moves(bench, count):
     """Rows that wander between ledgers, at random places."""
     for number in range(count):
         for kind, steps in MOVES.items():
-            place = bench.draw.randrange(94)
+            row = bench.draw.randrange(94)
             name, other = (("complete", "half")[number % 2], ("foreign", "sibling")[number // 2 % 2])
             with contextlib.closing(sqlite3.connect(bench.copied(name) / FILE)) as connection:
                 connection.execute("ATTACH ? AS other", (str(bench.sound[other] / FILE),))
                 with connection:
                     for step in steps:
-                        connection.execute(step, {"place": place} if ":place" in step else {})
+                        connection.execute(step, {"place": row} if ":place" in step else {})
             bench.judge(name, kind)
 
 

@@ -190,7 +190,7 @@ def undisturbed(level, folder):
 def draw_point(reference, draw):
     """A point: role, kind of call (rare ones rarely), place among such calls, error and length, each at random."""
     role = draw.choice([role for role in ROLES if any(key[0] == role for key in reference.calls)])
-    counts = {name: count for (place, name), count in sorted(reference.calls.items()) if place == role}
+    counts = {name: count for (role_of_call, name), count in sorted(reference.calls.items()) if role_of_call == role}
     (call,) = draw.choices(list(counts), [min(count, _COMMON) for count in counts.values()])
     first = draw.randrange(reference.calls[role, call])
     return Point(role, call, first, draw.choice(ERRORS[call]), draw.choice(LENGTHS))
@@ -230,10 +230,10 @@ def _words(code, text):
 def _strangers(campaign, reference):
     """Records in the ledger that are not the reference's."""
     try:
-        found = campaign.records()
+        stored = campaign.records()
     except BadInputError as error:
         return [f"the ledger cannot be read: {error}"]
-    return [f"stored: {name}: {record}" for name, record in found.items() if reference.records.get(name) != record]
+    return [f"stored: {name}: {record}" for name, record in stored.items() if reference.records.get(name) != record]
 
 
 def main():
@@ -251,10 +251,10 @@ def main():
         for number in range(points):
             level = levels[number % len(levels)]
             point = draw_point(references[level], draw)
-            code, failed, found = disturbed(level, Path(folder) / str(number), references[level], point)
+            code, failed, problems = disturbed(level, Path(folder) / str(number), references[level], point)
             ends[point.role, "ended well" if code == 0 else "stopped"] += 1
-            wrong += bool(found)
-            say(f"{number + 1} of {points} {level} {point}: exit code {code}, {failed} failed {' '.join(found)}")
+            wrong += bool(problems)
+            say(f"{number + 1} of {points} {level} {point}: exit code {code}, {failed} failed {' '.join(problems)}")
     for (role, end), count in sorted(ends.items()):
         say(f"{role:8} {end:10} {count}")
     say(f"{points - wrong} of {points} right")

@@ -71,8 +71,8 @@ def _wrong_line(line, path):
 def _shown(error):
     """An exception, and where it comes from; without numbers, so that the same defect has the same text."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "/mavfi/" in frame.filename]
-    place = f"{frames[-1].filename.rpartition('/mavfi/')[2]}:{frames[-1].lineno} {frames[-1].name}" if frames else ""
-    return f"{type(error).__name__} at {place}: {' '.join(str(error).split())[:160]}"
+    location = f"{frames[-1].filename.rpartition('/mavfi/')[2]}:{frames[-1].lineno} {frames[-1].name}" if frames else ""
+    return f"{type(error).__name__} at {location}: {' '.join(str(error).split())[:160]}"
 
 
 def _memory():
@@ -147,13 +147,13 @@ def batch(reader, contents, work):
                 os._exit(code)
         os.close(theirs)
         begun = None
-        for words in _lines(ours, pid):
-            if len(words) == 1:
-                begun = words[0]
+        for report in _lines(ours, pid):
+            if len(report) == 1:
+                begun = report[0]
             else:
                 begun = None
                 left.pop(0)
-                yield tuple(words)
+                yield tuple(report)
         _, ended = os.waitpid(pid, 0)
         if begun is not None:
             left.pop(0)

@@ -65,15 +65,15 @@ TEXTS = (
 
 def places(tree):
     """Every part of plain data, as its owner and its key there."""
-    found, left = [], [tree]
+    parts_of_tree, left = [], [tree]
     while left:
         owner = left.pop()
         keys = list(owner) if isinstance(owner, dict) else range(len(owner))
         for key in keys:
-            found.append((owner, key))
+            parts_of_tree.append((owner, key))
             if isinstance(owner[key], (dict, list)):
                 left.append(owner[key])
-    return found
+    return parts_of_tree
 
 
 def nasty(draw, raw):
@@ -86,10 +86,10 @@ def changed(tree, draw, others, raw):
     """Plain data with one to three parts changed, none of them its outermost mapping or list."""
     tree = copy.deepcopy(tree)
     for _ in range(draw.choice((1, 1, 1, 2, 3))):
-        found = places(tree)
-        if not found:
+        parts_of_tree = places(tree)
+        if not parts_of_tree:
             return tree
-        _change(*draw.choice(found), draw, others, raw)
+        _change(*draw.choice(parts_of_tree), draw, others, raw)
     return tree
 
 
@@ -102,8 +102,8 @@ def _change(owner, key, draw, others, raw):
     elif kind == 2:
         del owner[key]
     elif kind == 3:
-        other, place = draw.choice(places(draw.choice(others)))
-        owner[key] = copy.deepcopy(other[place])
+        other, key_there = draw.choice(places(draw.choice(others)))
+        owner[key] = copy.deepcopy(other[key_there])
     elif isinstance(owner, list):
         owner.insert(draw.randrange(len(owner) + 1), copy.deepcopy(value))
     else:
@@ -129,9 +129,9 @@ def words_of(data):
     return re.split(rb"([\w.+-]+)", data)
 
 
-def joined(words):
+def joined(pieces):
     """The text of words, some of which have become something else."""
-    return b"".join(word if isinstance(word, bytes) else str(word).encode() for word in words)
+    return b"".join(word if isinstance(word, bytes) else str(word).encode() for word in pieces)
 
 
 def to_yaml(tree):

@@ -3,8 +3,7 @@
     python -m tests.nightly.nojit
 
 Numba is switched off (NUMBA_DISABLE_JIT=1).  Machine words then warn where they wrap around, which compiled code does
-in silence, so such warnings are no errors here.  What is done with corrupted numbers (tests/core/unit/kernels) is left
-out: plain Python raises at int(nan), sin(inf) or a division by zero, where IEEE arithmetic gives a value.
+in silence, so such warnings are no errors here.
 """
 
 import os
@@ -48,8 +47,8 @@ def main():
     if run("-c", CANARY)[0] != 0:
         raise SystemExit("the compiler is not switched off")
     code, text = run("-m", "pytest", "-q", "-m", "not slow", "-W", "ignore::RuntimeWarning", *CHOSEN)
-    found = re.search(r"(\d+) passed", text)
-    passed = int(found[1]) if found else 0
+    match = re.search(r"(\d+) passed", text)
+    passed = int(match[1]) if match else 0
     if code != 0 or passed < LEAST:
         raise SystemExit(f"{text}\n{passed} passed without the compiler; wanted: {LEAST} at least, and none that fails")
     return passed

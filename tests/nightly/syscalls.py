@@ -75,8 +75,8 @@ def _install():
     numbers = list(CALLS.values())
     code = struct.pack("HBBI", _LOAD, 0, 0, 4) + struct.pack("HBBI", _EQUAL, 0, len(numbers) + 1, _X86_64)
     code += struct.pack("HBBI", _LOAD, 0, 0, 0)
-    for place, number in enumerate(numbers):
-        code += struct.pack("HBBI", _EQUAL, len(numbers) - place, 0, number)
+    for index, number in enumerate(numbers):
+        code += struct.pack("HBBI", _EQUAL, len(numbers) - index, 0, number)
     code += struct.pack("HBBI", _RETURN, 0, 0, _ALLOW) + struct.pack("HBBI", _RETURN, 0, 0, _NOTIFY)
     memory = ctypes.create_string_buffer(code, len(code))
     program = _Program(len(code) // 8, ctypes.addressof(memory))
@@ -101,10 +101,10 @@ class Call:
     def __init__(self, pid, depth, name, arguments):
         self.pid, self.depth, self.name, self.arguments = pid, depth, name, arguments
 
-    def target(self, place=0):
+    def target(self, index=0):
         """Path, or kind, of what the file number in an argument stands for."""
         try:
-            return os.readlink(f"/proc/{self.pid}/fd/{self.arguments[place] & 0x7FFFFFFF}")
+            return os.readlink(f"/proc/{self.pid}/fd/{self.arguments[index] & 0x7FFFFFFF}")
         except OSError:
             return ""
 
@@ -145,11 +145,11 @@ class Supervised:
     def _take(self, number):
         """The listener, as soon as the child has it."""
         while True:
-            found = _libc.syscall(_SYS_PIDFD_GETFD, self._handle, number, 0)
-            if found >= 0 and "seccomp" in os.readlink(f"/proc/self/fd/{found}"):
-                return found
-            if found >= 0:
-                os.close(found)
+            descriptor = _libc.syscall(_SYS_PIDFD_GETFD, self._handle, number, 0)
+            if descriptor >= 0 and "seccomp" in os.readlink(f"/proc/self/fd/{descriptor}"):
+                return descriptor
+            if descriptor >= 0:
+                os.close(descriptor)
             ended, status = os.waitpid(self.pid, os.WNOHANG)
             if ended:
                 code = os.waitstatus_to_exitcode(status)

@@ -30,8 +30,12 @@ INSTANTS = 8
 """Tapes of each detector and autopilot profile."""
 AUTOPILOTS = ("published", "hardened")
 ESTIMATOR = "state_estimation"
-FLIGHTS = (*((autopilot, "truth") for autopilot in AUTOPILOTS), ("hardened", "estimator"))
-"""Of the last one, only the kernel that the others do not have is taped."""
+FLIGHTS = (
+    *((autopilot, {}) for autopilot in AUTOPILOTS),
+    ("hardened", {"map": "octree", "planner": "rrt_star"}),
+    ("hardened", {"localization": "estimator"}),
+)
+"""Autopilot profiles and keys of missions; of the last one, only the kernel that the others do not have is taped."""
 
 
 def yard(seed, start=None, goal=None):
@@ -141,11 +145,11 @@ def constants(thing):
 
 
 def record(seed=3, recorders=()):
-    """Tapes of every kernel and detector in both autopilot profiles, and of the state estimator, from take-off on."""
+    """Tapes of every kernel and detector in both autopilot profiles, of an octree, and of the state estimator."""
     tapes = []
-    for autopilot, localization in FLIGHTS:
+    for autopilot, keys in FLIGHTS:
         world = EnvironmentConfig(name="yard", generator="tests.nightly.tapes:yard")
-        scenario = resolve(MissionSpec(environment="sparse", seed=seed, autopilot=autopilot, localization=localization))
+        scenario = resolve(MissionSpec(environment="sparse", seed=seed, autopilot=autopilot, **keys))
         takers, published = [], []
 
         def build_taping(config, takers=takers, autopilot=autopilot):
@@ -161,7 +165,8 @@ def record(seed=3, recorders=()):
         loop.fly()
         for taker in takers:
             tapes += [tape for tape in taker.tapes if any(kind == "step" for kind, _, _ in tape.events)][:PER_KERNEL]
-        tapes += _watching(scenario, autopilot, localization, published)
+        if "planner" not in keys:  # detectors see the same of any planner
+            tapes += _watching(scenario, autopilot, keys.get("localization", "truth"), published)
     return tapes
 
 

@@ -22,6 +22,7 @@ def test_no_damage_of_a_ledger_is_silent(bench):
     assert ends == {"refused", "without effect", "not complete"}
 
 
+@pytest.mark.long
 def test_a_ledger_that_is_not_checked_is_noticed(bench, monkeypatch):
     monkeypatch.setattr(Store, "_check_content", lambda self: None)
     damage.flips(bench, 40)

@@ -13,6 +13,7 @@ import pytest
 
 from mavfi.cli.console import MAX_LINE_LENGTH, one_line
 from mavfi.errors import BadInputError
+from tests.night import at_night
 from tests.nightly import fuzz
 from tests.nightly.fuzz import ACCEPTED, REFUSED
 from tests.nightly.mutations import RAW
@@ -75,22 +76,22 @@ def test_mutated_files_are_read_or_refused_in_one_line(tmp_path):
 @pytest.mark.parametrize("folder", sorted(CORPUS.iterdir()), ids=lambda folder: folder.name)
 def test_what_was_read_wrongly_once_is_refused(outcomes, tmp_path, folder):
     files = sorted(folder.iterdir())
-    found = outcomes(folder.name, [path.read_bytes() for path in files], tmp_path)
-    assert dict(zip(files, found, strict=True)) == dict.fromkeys(files, REFUSED)
+    read_outcomes = outcomes(folder.name, [path.read_bytes() for path in files], tmp_path)
+    assert dict(zip(files, read_outcomes, strict=True)) == dict.fromkeys(files, REFUSED)
 
 
 def test_a_yaml_file_that_is_a_trap_is_refused(outcomes, tmp_path):
     vehicle = shipped("configs/vehicles/airsim_quad.yaml")[0]
     contents = {(word, key): READERS["vehicle"].encode({**vehicle, key: word}) for word in RAW for key in ("mass", "x")}
     contents |= {(word, ""): text.encode() for word, text in RAW.items()}
-    found = outcomes("vehicle", list(contents.values()), tmp_path)
-    assert dict(zip(contents, found, strict=True)) == dict.fromkeys(contents, REFUSED)
+    read_outcomes = outcomes("vehicle", list(contents.values()), tmp_path)
+    assert dict(zip(contents, read_outcomes, strict=True)) == dict.fromkeys(contents, REFUSED)
 
 
 @pytest.mark.parametrize("name", ["ledger", "damaged"])
 def test_a_ledger_with_foreign_tables_is_refused_or_harmless(outcomes, tmp_path, name):
-    found = outcomes(name, [ledger_of(ledgers()[0], trick) for trick in TRICKS], tmp_path)
-    assert len(found) == len(TRICKS) and set(found) <= {ACCEPTED, REFUSED}
+    read_outcomes = outcomes(name, [ledger_of(ledgers()[0], trick) for trick in TRICKS], tmp_path)
+    assert len(read_outcomes) == len(TRICKS) and set(read_outcomes) <= {ACCEPTED, REFUSED}
 
 
 @pytest.mark.parametrize(
@@ -137,14 +138,15 @@ def sparse(path):
         file.truncate(1 << 40)
 
 
+FILES_BY_DAY = ("vehicle", "campaign", "flight", "recording")
 PLACES = (os.mkfifo, os.mkdir, loop, zeros, sparse, lambda path: None)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(READERS.keys() - {"fault"}))
+@pytest.mark.parametrize("name", [*FILES_BY_DAY, *at_night(*sorted(READERS.keys() - {*FILES_BY_DAY, "fault"}))])
 def test_what_is_no_file_is_refused_in_one_line(tmp_path, name):
-    found = [outcome for _, outcome in fuzz.batch(READERS[name], list(enumerate(PLACES)), tmp_path)]
-    assert found == [ACCEPTED if name == "recording" else REFUSED] * len(PLACES)
+    read_outcomes = [outcome for _, outcome in fuzz.batch(READERS[name], list(enumerate(PLACES)), tmp_path)]
+    assert read_outcomes == [ACCEPTED if name == "recording" else REFUSED] * len(PLACES)
 
 
 # ---- what must be noticed ------------------------------------------------------------------------------------------
@@ -181,11 +183,12 @@ def test_a_bad_reader_is_noticed_and_the_next_input_is_read(tmp_path, monkeypatc
     assert message in first and second == ACCEPTED
 
 
+@pytest.mark.long
 def test_seeds_are_read(outcomes, tmp_path):
     for name, reader in READERS.items():
-        found = outcomes(name, [reader.encode(seed) for seed in reader.seeds()], tmp_path)
-        assert set(found) <= {ACCEPTED, REFUSED}, name
-        assert ACCEPTED in found or name == "ledger", name  # whose host is not allowed to be run
+        read_outcomes = outcomes(name, [reader.encode(seed) for seed in reader.seeds()], tmp_path)
+        assert set(read_outcomes) <= {ACCEPTED, REFUSED}, name
+        assert ACCEPTED in read_outcomes or name == "ledger", name  # whose host is not allowed to be run
 
 
 # ---- single rules --------------------------------------------------------------------------------------------------

@@ -110,6 +110,7 @@ def test_the_published_page_is_that_of_the_stored_rows() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_small_study_flies_and_resumes(tmp_path):
     data = read_yaml(DEFINITION)
     values = data["axes"]["where"]["values"]

@@ -34,7 +34,7 @@ def has_verdicts(runs: Runs) -> bool:
 
 def effect_rate(faults: Runs, test: pl.Expr) -> Rate:
     """Share of faults that pass a test, over whole words if their bits were drawn by strata that partition a word."""
-    rates = m.populations(faults, test)
+    rates = m.rates_by_population(faults, test)
     if WHOLE_WORD in rates:
         return rates[WHOLE_WORD]
     return m.rate_of(faults, test)

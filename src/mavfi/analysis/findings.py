@@ -40,7 +40,7 @@ def pairs_by_arm(runs: Runs) -> dict[str, Runs]:
     paired = m.against_fi(runs)
     if not len(paired) or not runs.has_missions:
         return {}
-    leading = m.leading_names(runs)
+    leading = m.leading_populations(runs)
     arms = runs.campaign.get("arms", {})
     # in protected code the same instruction of the draw is another one: what comes back is not brought back by it
     protected = [name for name, arm in arms.items() if arm["mission"].get("protection")]

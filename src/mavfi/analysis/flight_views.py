@@ -153,8 +153,8 @@ _SUCCESS = (
                 "here",
                 "here",
                 RATE,
-                lambda runs: m.leading(runs, m.population_names(runs, ()), "success"),
-                counted=lambda runs: m.in_leading(runs, m.population_names(runs, ())),
+                lambda runs: m.leading_rate(runs, m.population_names(runs, ()), "success"),
+                counted=lambda runs: m.leading_runs(runs, m.population_names(runs, ())),
             ),
             paper.column(paper.success),
         ),
@@ -240,7 +240,7 @@ def _recovery_rate(_: Runs, recovery: Recovery) -> Any:
 
 
 def _papers_recovery(runs: Runs) -> float | None:
-    if runs.first("population") not in m.LEADING or runs.first("level") == MEMORY:
+    if runs.first("population") not in m.COMPARED or runs.first("level") == MEMORY:
         return None
     if not paper.comparable(runs):
         return None

@@ -30,7 +30,7 @@ from mavfi.record import FlightRecord
 _WORD_PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
 PARTITIONS = (*_WORD_PARTITIONS, *({*strata, "length"} for strata in _WORD_PARTITIONS))
 """Sets of strata that partition a word; with `length`, a message."""
-LEADING = (HEADLINE, ALL_BITS)  # leading populations of tables, which are compared with the paper
+COMPARED = (HEADLINE, ALL_BITS)  # populations that are compared with the paper
 PAIRED_TEST = "McNemar's exact test, all pairs of a world with the same random sign"
 """Name of the test of success in pairs, see `mcnemar`."""
 SLOWER = 0.05  # relative increase in flight time above which a success counts as slower
@@ -113,7 +113,9 @@ def rate_of(runs: Runs, test: pl.Expr | str) -> Rate:
 
 
 # ---- by population -----------------------------------------------------------------------------------------------
-def populations(runs: Runs, test: pl.Expr | str) -> dict[str, Rate]:
+# The population of a fault is the class of bits that it was drawn in (golden runs: "all").  A table has one column for
+# each; its first, the leading one, is that of sign and exponent bits, if these were drawn by themselves.
+def rates_by_population(runs: Runs, test: pl.Expr | str) -> dict[str, Rate]:
     """Rate of a property by population: each bit stratum, and the whole word if the strata partition it.
 
     Runs that could not be judged are excluded.
@@ -143,16 +145,15 @@ def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
     return sorted(names, key=lambda name: rank.get(name, len(_ORDER)))
 
 
-def leads(names: Sequence[str]) -> list[str]:
-    """Of populations in table order, those of sign and exponent bits, together or apart; without any, the first one."""
-    return [name for name in names if name in SIGN_EXPONENT] or list(names[:1])
+def leading_populations(runs: Runs) -> list[str]:
+    """Populations of the faults that a campaign is summarized by.
 
-
-def leading_names(runs: Runs) -> list[str]:
-    """Populations of the faults that a campaign is summarized by: `leads`, unless these leave a whole group out."""
+    They are those of sign and exponent bits, together or apart, or without any the first one; but all of them where a
+    whole group of fields would be left out.
+    """
     judged = runs.injected.where("judged")
     names = population_names(judged, ())
-    leading = leads(names)
+    leading = [name for name in names if name in SIGN_EXPONENT] or names[:1]
     if runs.campaign.get("each") == "group":
         drawn_by_group = [group.values("population") for group in judged.groups("target").values()]
         if not all(set(drawn) & set(leading) for drawn in drawn_by_group):
@@ -161,12 +162,12 @@ def leading_names(runs: Runs) -> list[str]:
 
 
 def leading_faults(runs: Runs) -> Runs:
-    """Judged runs with a fault in the leading bits: sign and exponent, or all that were drawn, see `leading_names`."""
-    return runs.injected.where("judged", pl.col("population").is_in(leading_names(runs)))
+    """Judged runs with a fault in the leading bits, see `leading_populations`."""
+    return runs.injected.where("judged", pl.col("population").is_in(leading_populations(runs)))
 
 
 def population_text(names: Collection[str]) -> str:
-    """Display name of `leading_names`; "" for all bits of a word, for all that were drawn, and for none."""
+    """Display name of `leading_populations`; "" for all bits of a word, for all that were drawn, and for none."""
     if len(names) == 1:
         return "".join(POPULATIONS.get(name, name) for name in names if name != ALL_BITS)
     if names and set(names) <= set(SIGN_EXPONENT):
@@ -174,16 +175,16 @@ def population_text(names: Collection[str]) -> str:
     return ""
 
 
-def leading(runs: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:
-    """Rate in the leading population; for golden runs, over all of them."""
-    rates = populations(runs, test)
+def leading_rate(runs: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:
+    """Rate in the first of the populations of a table; for golden runs, over all of them."""
+    rates = rates_by_population(runs, test)
     if "all" in rates or not names:
         return rates.get("all")
     return rates.get(names[0])
 
 
-def in_leading(runs: Runs, names: Sequence[str]) -> Runs:
-    """The rows over which `leading` computes the rate."""
+def leading_runs(runs: Runs, names: Sequence[str]) -> Runs:
+    """The rows over which `leading_rate` computes the rate."""
     judged = runs.where("judged")
     if "all" in judged.values("population") or not names:
         return judged.where(population="all")
@@ -201,24 +202,24 @@ def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         "success",
         heading,
         RATE,
-        lambda group: leading(group, names, "success"),
-        counted=lambda group: in_leading(group, names),
+        lambda group: leading_rate(group, names, "success"),
+        counted=lambda group: leading_runs(group, names),
     )
 
 
 def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Success in each of the other populations."""
-
-    def within(name: str) -> Callable[[Runs], Cell]:
-        return lambda group: populations(group, "success").get(name)
-
-    def counted(name: str) -> Callable[[Runs], Runs]:
-        if name == WHOLE_WORD:
-            return lambda group: group.where("judged")
-        return lambda group: group.where("judged", population=name)
-
     for name in population_names(runs, by)[1:]:
-        yield Measure(f"success_{name}", POPULATIONS.get(name, name), RATE, within(name), counted=counted(name))
+        selection = {"population": name}
+        if name == WHOLE_WORD:  # of all bits
+            selection = {}
+        yield Measure(
+            f"success_{name}",
+            POPULATIONS.get(name, name),
+            RATE,
+            lambda group, name=name: rates_by_population(group, "success").get(name),
+            counted=lambda group, selection=selection: group.where("judged", **selection),
+        )
 
 
 FAILS_OR_SLOWER = ~pl.col("success") | (pl.col("inflation") > SLOWER).fill_null(value=False)
@@ -243,7 +244,7 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         return counted(group).frame["inflation"].max()
 
     def share(group: Runs) -> Rate:
-        return populations(group, FAILS_OR_SLOWER)[shown_population(group)]
+        return rates_by_population(group, FAILS_OR_SLOWER)[shown_population(group)]
 
     if names:
         yield Measure("hurt", "hurt %", RATE, share, counted=counted)
@@ -311,7 +312,7 @@ def separable(runs: Runs) -> list[Resolution]:
     differences = []
     for (environment,), part in runs.groups("environment").items():
         golden = part.golden.where("judged", setting=GOLDEN)
-        faulty = part.injected.where("judged", pl.col("population").is_in(LEADING), setting=FI)
+        faulty = part.injected.where("judged", pl.col("population").is_in(COMPARED), setting=FI)
         n = len(faulty)
         share = 1.0
         if n:

@@ -202,33 +202,6 @@ def draws(clusters: int) -> np.ndarray:
     return counts
 
 
-def quantiles(values: np.ndarray, counts: np.ndarray, share: float) -> np.ndarray:
-    """Quantiles of samples that hold each value several times, interpolated linearly; NaN of empty samples.
-
-    Args:
-        values: In ascending order. Shape (n,).
-        counts: How often each value is in each sample. Shape (samples, n).
-        share: 0 to 1.
-
-    Returns:
-        Shape (samples,).
-    """
-    cumulative = counts.cumsum(axis=1)
-    size = cumulative[:, -1]
-    position = share * np.maximum(size - 1, 0)  # of the quantile in the sorted sample, fractional
-
-    def value_at(index: np.ndarray) -> np.ndarray:
-        """The value at an index of each sorted sample: the first one whose cumulative count exceeds the index."""
-        value: np.ndarray = values[np.minimum((cumulative <= index[:, None]).sum(axis=1), len(values) - 1)]
-        return value
-
-    low = value_at(np.floor(position))
-    high = value_at(np.ceil(position))
-    interpolated = low + (position - np.floor(position)) * (high - low)
-    result: np.ndarray = np.where(size > 0, interpolated, np.nan)
-    return result
-
-
 def weighted_rate(
     success: Sequence[float], weight: Sequence[float], stratum: Sequence[str], world: Sequence[object]
 ) -> Rate:
@@ -319,17 +292,6 @@ def smallest_difference(rate: float, first_n: int, second_n: int) -> float | Non
     p = min(max(rate, margin), 1 - margin)
     spread = np.sqrt(p * (1 - p) * (1 / first_n + 1 / second_n))
     return float((_NORMAL.inv_cdf(1 - TAIL) + _NORMAL.inv_cdf(_POWER)) * spread)
-
-
-def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """Apply Holm's (1979) step-down correction over all tests with a p value; None remains None."""
-    tests = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
-    adjusted: list[float | None] = [None] * len(p_values)
-    largest = 0.0  # adjusted values never decrease in the order of the p values
-    for rank, (p, index) in enumerate(tests):
-        largest = max(largest, min(1.0, (len(tests) - rank) * p))
-        adjusted[index] = largest
-    return adjusted
 
 
 # ---- paired comparison of settings in the same missions: McNemar's test, paired differences, and the recovery rate -

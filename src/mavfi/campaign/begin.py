@@ -8,7 +8,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.extension import as_grown
 from mavfi.campaign.ledger import ORDERED
 from mavfi.campaign.resolve import Arm, ResolvedCampaign, resolve
-from mavfi.campaign.store import held
+from mavfi.campaign.store import read_meta
 from mavfi.config import STORED
 from mavfi.detectors.registry import check_detector
 from mavfi.errors import BadInputError
@@ -32,7 +32,7 @@ def begin(
         BadInputError: A name is unknown, options are incompatible, or a model is absent or does not match.
     """
     begun = _as_begun(campaign.without_requirements(), directory, extend=extend)
-    held_models = held(directory, "models_dir")
+    held_models = read_meta(directory, "models_dir")
     if models_dir is None and held_models is not None:  # the models with which the ledger was begun
         models_dir = directory / held_models
     resolved = resolve(begun, models_dir)
@@ -46,7 +46,7 @@ def _as_begun(campaign: Campaign, directory: Path, *, extend: bool) -> Campaign:
     Both determine draws and positions of runs.
     """
     with suppress(ValueError):  # no ledger, or damage, which is reported when the ledger is opened
-        begun = Campaign.model_validate_json(held(directory, ORDERED) or "", context=STORED)
+        begun = Campaign.model_validate_json(read_meta(directory, ORDERED) or "", context=STORED)
         campaign = as_grown(begun, campaign, extend=extend)
         if begun == campaign:
             return begun

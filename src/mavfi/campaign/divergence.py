@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.record import FlightLog
-from mavfi.states import STATES, State
+from mavfi.states import STATES, State, differing_rows
 
 LEFT = 0.1
 """Distance beyond which a flight has left the golden run's path (m)."""
@@ -83,17 +83,16 @@ def spread(golden: Sequence[TimedState], injected: Sequence[TimedState]) -> list
         if counterpart is not None:
             differs = not counterpart.state.same_bits(publication.state)
             values.setdefault(name, []).append((publication.time_us, differs))
-    spreads = [_spread(name, STATES[name].writer, pairs) for name, pairs in values.items()]
-    return sorted((spread for spread in spreads if spread is not None), key=lambda spread: spread.first_us)
-
-
-def _spread(name: str, kernel: str, values: Sequence[tuple[int, bool]]) -> StateSpread | None:
-    """Summarize pairs of instant (us) and whether the value differs; None = no value differs."""
-    times = [time_us for time_us, differs in values if differs]
-    if not times:
-        return None
-    _, last_differs = values[-1]
-    return StateSpread(name, kernel, times[0], times[-1], len(times), len(values), to_the_end=last_differs)
+    spreads = []
+    for name, pairs in values.items():
+        times = [time_us for time_us, differs in pairs if differs]
+        if times:
+            _, last_differs = pairs[-1]
+            kernel = STATES[name].writer
+            spreads.append(
+                StateSpread(name, kernel, times[0], times[-1], len(times), len(pairs), to_the_end=last_differs)
+            )
+    return sorted(spreads, key=lambda spread: spread.first_us)
 
 
 def _numbered(publications: Sequence[TimedState]) -> dict[tuple[str, int], TimedState]:
@@ -133,26 +132,13 @@ def _first_field(golden: State, injected: State) -> _FieldDifference:
     """The first field that differs bitwise; or the numbers of elements, if these differ."""
     if len(golden.elements) != len(injected.elements):
         return _FieldDifference("number of elements", len(golden.elements), len(injected.elements))
-    for name in injected.header.dtype.names or ():
-        row = _first_row(golden.header[name], injected.header[name])
-        if row is not None:
-            return _FieldDifference(name, golden.header[name][row].item(), injected.header[name][row].item())
-    for name in injected.elements.dtype.names or ():
-        row = _first_row(golden.elements[name], injected.elements[name])
-        if row is not None:
-            values = golden.elements[name][row].item(), injected.elements[name][row].item()
-            return _FieldDifference(f"{name}[{row}]", *values)
+    for records, other_records in ((golden.header, injected.header), (golden.elements, injected.elements)):
+        for name in records.dtype.names or ():
+            rows = differing_rows(records[name], other_records[name])
+            if len(rows):
+                field = name if records is golden.header else f"{name}[{rows[0]}]"
+                return _FieldDifference(field, records[name][rows[0]].item(), other_records[name][rows[0]].item())
     raise AssertionError(f"{injected.spec.name}: bits differ and no field does")
-
-
-def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
-    """Index of the first element that differs bitwise (NaNs and signed zeros included); None = no difference."""
-    size = before.dtype.itemsize
-    bits = [np.ascontiguousarray(values).view(np.uint8).reshape(-1, size) for values in (before, after)]
-    rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
-    if len(rows):
-        return int(rows[0])
-    return None
 
 
 @dataclass(frozen=True, slots=True)

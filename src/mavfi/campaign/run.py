@@ -24,7 +24,7 @@ from mavfi.campaign.log import Log
 from mavfi.campaign.mission import Job, MissionPlan, flights_of, fly_missions, share
 from mavfi.campaign.plan import WHOLE, CompletedRun, Plan, Planned, Shard
 from mavfi.campaign.resolve import ResolvedCampaign
-from mavfi.campaign.store import IDENTITY, Store, held
+from mavfi.campaign.store import IDENTITY, Store, read_meta
 from mavfi.campaign.warm_up import fly_missions_anywhere, is_compiled, warm_up
 from mavfi.detectors.registry import detector_options, mission_keys
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
@@ -347,7 +347,7 @@ def _session(  # noqa: PLR0913 - what `run_campaigns` is given
     """The session of a campaign; its ledger is closed with `stack`."""
     # The ledger; one that exists must hold the same campaign, or a smaller one that is extended.
     identity: dict[str, Any] = json.loads(canonical(identity_of(campaign)))
-    stored_identity = held(directory, IDENTITY)
+    stored_identity = read_meta(directory, IDENTITY)
     extends = extend and stored_identity not in (None, identity)
     identity_to_open = identity
     if extends:

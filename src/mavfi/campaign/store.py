@@ -675,7 +675,7 @@ class Store:
         return content.hexdigest()
 
 
-def held(directory: Path, key: str) -> Any:
+def read_meta(directory: Path, key: str) -> Any:
     """`Store.meta` of a ledger that is not open; None if it is absent, empty or damaged."""
     if not is_file(directory / FILE):
         return None

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mavfi.campaign.compiling import STAGES, compile_stage
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
 from mavfi.campaign.mission import Job, MissionPlan, fly_mission, fly_missions, has_custom_detectors
@@ -14,7 +15,6 @@ from mavfi.campaign.plan import CompletedRun, Planned
 from mavfi.campaign.resolve import Arm, ResolvedCampaign, resolve
 from mavfi.detectors.registry import is_named
 from mavfi.errors import BadInputError
-from mavfi.flight.compiling import STAGES, compile_stage
 from mavfi.mission import Scenario
 from mavfi.numerics.dependencies import packages_digest
 from mavfi.numerics.jit import code_folder, in_turns

@@ -104,13 +104,13 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
-    from mavfi.campaign.store import FILE, IDENTITY, held
+    from mavfi.campaign.store import FILE, IDENTITY, read_meta
     from mavfi.report.progress import Bar
 
     # check all options before the first flight
     campaign = load_campaign(config).at_scale(scale)
     ledger = out or Path("out") / campaign.name
-    use_ledger(ledger, held(ledger, IDENTITY))  # a resumed campaign has been allowed to run its plug-ins
+    use_ledger(ledger, read_meta(ledger, IDENTITY))  # a resumed campaign has been allowed to run its plug-ins
     check_names(campaign, config)
     requirements = _requirements(campaign, [*campaign.require, *(require or ())], junit)
     if extend and not is_file(ledger / FILE):

@@ -152,19 +152,15 @@ def check_fits(model: Model, **here: object) -> None:
     """
     for key, wanted in here.items():
         trained = model.provenance.get(key)
-        if not _same(trained, wanted):
+        same = trained == wanted
+        if isinstance(trained, (int, float)) and isinstance(wanted, (int, float)):
+            same = math.isclose(trained, wanted, rel_tol=1e-9)
+        if not same:
             raise SpecMismatchError(
                 f"model {model.name}: trained for {key} {trained!r}, used with {key} {wanted!r}; "
                 f"use {trained!r}, train a model with `mavfi train`, or fly with this one, key trained_for: "
                 f"{model.provenance['stack']}/{model.provenance['platform']}"
             )
-
-
-def _same(trained: object, wanted: object) -> bool:
-    """Whether a value of the training equals the wanted one; numbers up to rounding."""
-    if isinstance(trained, (int, float)) and isinstance(wanted, (int, float)):
-        return math.isclose(trained, wanted, rel_tol=1e-9)
-    return trained == wanted
 
 
 def _hash(content: Mapping[str, Any]) -> str:

@@ -78,12 +78,12 @@ def is_named(name: str, source: str) -> bool:
     return name == source or (name in places and places[name] == places.get(source))
 
 
-def contains(name: str, profile: str, source: str, options: Mapping[str, Any] | None = None) -> bool:
+def contains(name: str, profile: str, source: str) -> bool:
     """Whether a detector has a part that raises alarms as `source`: itself, or the physics gate in front of it."""
     if source != GATE:
         return is_named(name, source)
     factory = detector_class(name)
-    return _is_trained(factory) and bool(_options_of(name, profile, factory, options or {}).get("gate", False))
+    return _is_trained(factory) and bool(_options_of(name, profile, factory, {}).get("gate", False))
 
 
 def trainable() -> dict[str, type[TrainedDetector]]:

@@ -77,20 +77,17 @@ class Recorder(Detector):
         if name in ODOMETRY.values():
             self._odometry = state.header.tobytes()[:_ODOMETRY_SIZE]
         elif name in _KINDS:
-            if name == _WAYPOINT:
-                self._note_trajectory(int(state.header["trajectory_seq"][0]), time_us)
+            if name == _WAYPOINT:  # the odometry at the first way-point of each trajectory
+                trajectory = int(state.header["trajectory_seq"][0])
+                if trajectory != self._trajectory and self._odometry:
+                    self._append(features.ODOMETRY, time_us, self._odometry)
+                self._trajectory = trajectory
             self._append(_KINDS[name], time_us, state.header.tobytes())
 
     def recording(self) -> Recording:
         """All publications since `start`."""
         content = np.frombuffer(b"".join(self._content), np.uint8)
         return Recording(np.array(self._kinds, np.int8), np.array(self._times, np.int64), content)
-
-    def _note_trajectory(self, trajectory: int, time_us: int) -> None:
-        """Record the odometry at the first way-point of a trajectory."""
-        if trajectory != self._trajectory and self._odometry:
-            self._append(features.ODOMETRY, time_us, self._odometry)
-        self._trajectory = trajectory
 
     def _append(self, kind: int, time_us: int, content: bytes) -> None:
         """Append a header to the recording."""
@@ -140,7 +137,14 @@ def collect(recordings: Sequence[Recording], preprocessor: Preprocessor) -> Samp
     Raises:
         BadInputError: A watched state was never published, or a published number is not finite.
     """
-    parts = [_without_odometry(recording, preprocessor) for recording in recordings]
+    # slots of the recorded kinds, the last of which is the odometry; rows of it are left out
+    slots = np.array([*(preprocessor.slots.get(name, features.ODOMETRY) for name in WATCHED), features.ODOMETRY])
+    parts = []
+    for recording in recordings:
+        events = features.Events(slots[recording.kinds], recording.ends, recording.content)
+        sample = sample_of(events, preprocessor)
+        is_watched = sample.slots != features.ODOMETRY
+        parts.append(Sample(*(getattr(sample, name)[is_watched] for name in Sample.__annotations__)))
     if not parts:
         raise BadInputError("training: no recordings; fly at least one error-free flight")
     sample = join(parts)
@@ -160,14 +164,6 @@ def check_finite(sample: Sample) -> None:
 def join(parts: Sequence[Sample]) -> Sample:
     """Concatenate the samples of all flights, in order."""
     return Sample(*(np.concatenate([getattr(part, name) for part in parts]) for name in Sample.__annotations__))
-
-
-def _without_odometry(recording: Recording, preprocessor: Preprocessor) -> Sample:
-    """Sample of one flight, without the rows of the vehicle's odometry."""
-    lookup = np.array([*(preprocessor.slots.get(name, features.ODOMETRY) for name in WATCHED), features.ODOMETRY])
-    sample = sample_of(features.Events(lookup[recording.kinds], recording.ends, recording.content), preprocessor)
-    is_watched = sample.slots != features.ODOMETRY
-    return Sample(*(getattr(sample, name)[is_watched] for name in Sample.__annotations__))
 
 
 def regime_limits(peaks: np.ndarray, counts: np.ndarray, margin: float, smallest: int) -> list[list[float]]:

@@ -8,7 +8,7 @@ import numpy as np
 from mavfi.faults.acted_on import CounterWatch
 from mavfi.faults.injector import RewindableInjector
 from mavfi.flight.checkpoints import Checkpoint, Instant, is_at, put, take
-from mavfi.flight.compose import install, restarts_for
+from mavfi.flight.compose import install
 from mavfi.flight.known_flights import FlownArm, KnownFlight
 from mavfi.record import Event, FlightLog
 from mavfi.states import State
@@ -84,26 +84,16 @@ class FlightBranch:
         if self._keeps_publications:
             self.loop.taps.recorders.append(lambda state, now: self.publications.append((state, now)))
         self._detector = arm.detector
-        self._restarts = None
         self._tap: Any = None
         if arm.detector is None:
             return
-        self._restarts = restarts_for(self.loop, arm.recovery)
-        if self._restarts is not None:
-            for state, now in self.publications:
-                self._restarts.keep(state, now)
+        self._tap = install(self.loop, arm.detector, arm.recovery, self.publications)
         if start.detector is None:  # that of a flight without one
-            self._install_tap()
             arm.detector.start()
         else:
             self._restore_detector(start.detector)
 
     # ---- the detector -----------------------------------------------------------------------------------------------
-    def _install_tap(self) -> None:
-        """Install a new tap of the detector: an earlier one may have disabled it."""
-        assert self._detector is not None  # precondition
-        self._tap = install(self.loop, self._detector, self._arm.recovery, self._restarts)
-
     def _detector_memory(self) -> Any:  # noqa: ANN401
         """The memory of detector and recovery; None = there is no detector."""
         if self._detector is None:
@@ -115,7 +105,6 @@ class FlightBranch:
         assert self._detector is not None  # precondition
         detector_memory, recovery_memory = saved
         self._detector.restore(detector_memory)
-        self._install_tap()
         self._tap.memory = recovery_memory.copy()
 
     def _has_detector_memory(self, checkpoint: Checkpoint) -> bool:
@@ -215,7 +204,7 @@ class FlightBranch:
         In the latter case it is called again in the simulated flight, which may disable it.
         """
         assert self._detector is not None  # precondition
-        if self._tap.gave_up:
+        if self._tap.memory.crashed:
             return False
         watched_states = self.loop.taps.watched
         for state, now in known_flight.publications[piece_start.publications : piece_end.publications]:

@@ -1,7 +1,7 @@
 """Resolution of names into a scenario and its detector, and of these into a flight that has not started."""
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, partial
 from itertools import chain
@@ -19,7 +19,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.plug_ins import plug_ins_of_spec
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, latency, stage_latency
+from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, Profiler, latency, stage_latency
 from mavfi.flight.plant import MakePlant
 from mavfi.flight.recovery import DetectorTap, Duplicates
 from mavfi.flight.restarts import Restarts
@@ -39,7 +39,7 @@ from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.sim.simulator import Simulator
-from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, REPLACEABLE, Stage
+from mavfi.states import INJECTED_KERNEL, PLANNERS, PLUG_INS, REPLACEABLE, Stage, State, states_with
 
 _DEFAULT_V_MAX = 3.0
 """Speed limit where neither mission nor environment has one (m/s)."""
@@ -131,6 +131,7 @@ def resolve(spec: MissionSpec) -> Scenario:
         find_generator(environment.generator)
     with _read_from(vehicle_source, "vehicle"):
         vehicle = find_vehicle(environment.vehicle)
+    find_controller(spec.flight_controller)
     return Scenario(
         environment=environment,
         seed=spec.seed,
@@ -146,7 +147,7 @@ def resolve(spec: MissionSpec) -> Scenario:
         wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
         dead_node=spec.dead_node,
-        flight_controller=_controller(spec.flight_controller),
+        flight_controller=spec.flight_controller,
         kernels=_own_kernels(spec),
         protection=protection,
         arrival_radius=spec.arrival_radius,
@@ -186,12 +187,6 @@ def _own_kernels(spec: MissionSpec) -> dict[str, str]:
     for name, address in kernels.items():
         find_kernel(name, address)
     return kernels
-
-
-def _controller(name: str) -> str:
-    """The name, after checking that there is such a flight controller."""
-    find_controller(name)
-    return name
 
 
 def _autopilot(spec: MissionSpec) -> configs.AutopilotConfig:
@@ -305,7 +300,10 @@ def new_loop(
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
     if world.is_voxels:
         _warn_of_walls(scenario.environment.name, world, config.plan_radius + _VOXELS_OFF * config.map.resolution)
-    loop = Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+    loop = Loop(scenario, world, plant, partial(make_kernels, config), marks=rewindable)
+    if profile:
+        loop.profiler = Profiler(states_with(scenario.localization.kind).values())
+        loop.taps.recorders.append(loop.profiler)
     if isinstance(functions, FlightFunctions):
         loop.stand_ins = functions.stand_ins
     return loop
@@ -339,32 +337,24 @@ def watch(loop: Loop, detector: Detector | None, recovery: RecoveryPolicy = INLI
         return
     check_states(detector)
     loop.marks = True
-    install(loop, detector, recovery, restarts_for(loop, recovery)).begin()
+    install(loop, detector, recovery).begin()
 
 
-def restarts_for(loop: Loop, recovery: RecoveryPolicy) -> Restarts | None:
-    """What restarts nodes for a recovery policy, from what it sees from now on; None = the policy restarts none."""
+def install(
+    loop: Loop, detector: Detector, recovery: RecoveryPolicy, earlier: Iterable[tuple[State, int]] = ()
+) -> DetectorTap:
+    """Install a detector's tap, and what it asks of the loop; `earlier`: publications so far, see `Restarts`."""
     if recovery.restarts:
-        return Restarts(loop, "readback")
-    return None
-
-
-def install(loop: Loop, detector: Detector, recovery: RecoveryPolicy, restarts: Restarts | None) -> DetectorTap:
-    """Install a detector's tap, and what it asks of the loop, in the place of those of another one."""
-    if restarts is None:
-        tap = DetectorTap(loop, detector, recovery)
+        tap = DetectorTap(loop, detector, recovery, Restarts(loop, "readback", earlier).die)
     else:
-        tap = DetectorTap(loop, detector, recovery, restarts.die)
+        tap = DetectorTap(loop, detector, recovery)
     loop.taps.detector = tap
     loop.taps.watched = tap.states
     loop.taps.checked_at_producer = CHECKED_AT_PRODUCER[recovery.detector_place]
-    loop.taps.seal = None
     if tap.seals:
         loop.taps.seal = tap.seal
-    loop.taps.answer_loss = None
     if recovery.resends:
         loop.taps.answer_loss = tap.lost
-    loop.verify = None
     if detector.duplicates:
         loop.verify = Duplicates(loop, detector.duplicates)
     return tap

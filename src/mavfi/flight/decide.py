@@ -238,7 +238,8 @@ class History(Memory):
     Attributes:
         restarts_left: Remaining number of node restarts.
         degraded: Whether it is in degraded mode: it replaces every command and checks nothing.
-        silenced: Whether the detector is disabled as faulty.
+        silenced: Whether the detector is disabled as faulty: it is asked no more.
+        crashed: Whether it is not even told what is published.
         first_us: First instant of the latest contiguous series of hard alarms (us).
         last_us: Its last instant (us).
         counted_us: Instants of the latest alarms that count against the detector (us): with `limit` all, else the hard
@@ -250,6 +251,7 @@ class History(Memory):
     restarts_left: int = MAX_RESTARTS
     degraded: bool = False
     silenced: bool = False
+    crashed: bool = False
     first_us: int = 0
     last_us: int = -GAP_US
     counted_us: list[int] = field(default_factory=list)
@@ -404,11 +406,12 @@ class PathDeadline:
             wait.waypoint = state
             return None
         number = int(state.header["future_collision_seq"][0])
+        # A path that answers the alarm, or a later one, ends the wait.
         if state.spec.name == PATH:
             if number >= wait.alarm_number:
                 wait.since_us = None
             return None
-        # a collision status
+        # A collision status: an alarm begins the wait, and one that is withdrawn ends it.
         is_alarm = bool(state.header["collision"][0])
         if is_alarm:
             wait.last_number = number
@@ -420,6 +423,7 @@ class PathDeadline:
         if self._can_withdraw and not is_alarm and number == wait.last_number and _is_free(state, wait.waypoint):
             wait.since_us = None
             return None
+        # Otherwise the time counts, but not while the planner is down.
         if planner_is_down:
             wait.since_us = now
             return None

@@ -32,12 +32,13 @@ from mavfi.flight.compose import new_loop
 from mavfi.flight.counted_functions import CountedFunction
 from mavfi.flight.host import Flight
 from mavfi.flight.known_flights import NO_DETECTOR, FlownArm, KnownFlight, check_prefix
-from mavfi.flight.loop import Listener
+from mavfi.flight.loop import Listener, Profiler
 from mavfi.ir.injection.variant import Resolving
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import ENTRIES, PLAIN
 from mavfi.record import Profile
 from mavfi.sim.controller import is_rewindable
+from mavfi.states import states_with
 
 TICKS = {"dense": 50, "octree": 200}
 """Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
@@ -140,12 +141,12 @@ class FastForward:
         branch = FlightBranch(self, arm, self._take_off, None, others, keeps_checkpoints=True)
         branch.store_checkpoint(self._take_off.here)
         put(self.loop, self._take_off.here)
-        publications = self.loop.record.publications
-        publications.want_profile = arm.detector is None
+        if arm.detector is not None:
+            return branch.fly()
+        profiler = Profiler(states_with(self.loop.scenario.localization.kind).values())
+        self.loop.taps.recorders.append(profiler)
         known_flight = branch.fly()
-        if publications.want_profile:
-            self._profile = publications.profile()
-        publications.want_profile = False
+        self._profile = profiler.profile()
         return known_flight
 
     # ---- flights with faults in publications -------------------------------------------------------------------------

@@ -11,11 +11,9 @@ from mavfi.ir.forked import ForkPoint
 from mavfi.ir.injection.arena import arena, copy_result
 from mavfi.ir.injection.table import DATA
 from mavfi.ir.injection.variant import Variant, changed_nothing
-from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import copied, same
 from mavfi.record import FlightLog
 from mavfi.rewriting import rewriter
-from mavfi.states import State
 
 MAP_FUNCTIONS = frozenset({"insert_scan", "collect", "update_voxels", "apply_updates"})
 """Functions that write maps."""
@@ -83,11 +81,6 @@ class ForkedChild:
         if self.call_same and report is not None and (report.planned or report.site.value_class in DATA):
             self.end(ChildReport(None, None, call_same=True))
         return result
-
-    def note_output(self, kernel: Kernel, states: list[State]) -> None:
-        """Store the output of the injected step: the first one of its kernel."""
-        if self.output is None:
-            self.output = Output.of(kernel, states)
 
     def report(
         self, log: FlightLog, publications: list[Published] | None, watched: Mapping[str, FlightLog] | None = None

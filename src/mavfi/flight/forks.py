@@ -226,7 +226,8 @@ class Forks(Listener):
         if case.kernel != kernel.name:
             return
         if not child.step_fails:
-            child.note_output(kernel, states)
+            if child.output is None:  # only the first step of the kernel is the injected one
+                child.output = Output.of(kernel, states)
             return
         child.step_fails = False
         if case.how == DETECTED:

@@ -80,10 +80,7 @@ class FromCheckpoints(GoldenApproach):
     def restarts(self) -> Restarts:
         """See `GoldenApproach.restarts`; they know all publications since take-off."""
         assert self._branch is not None  # it flies
-        restarts = Restarts(self.loop, self.loop.scenario.dead_node)
-        for state, now in self._branch.publications:
-            restarts.keep(state, now)
-        return restarts
+        return Restarts(self.loop, self.loop.scenario.dead_node, self._branch.publications)
 
     def fly(self, forks: Forks) -> None:
         """See `GoldenApproach.fly`."""

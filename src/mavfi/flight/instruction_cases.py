@@ -16,7 +16,7 @@ from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import Remembers
 from mavfi.record import FlightLog, KernelEffect
-from mavfi.states import State
+from mavfi.states import State, differing_rows
 
 WAITING = "not_activated"
 """State of a case whose instruction has not been reached."""
@@ -153,11 +153,9 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
 def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
     """The first field in which two structured arrays of one length differ bit for bit; None = they are identical."""
     for name in golden.dtype.names or ():
-        before = np.ascontiguousarray(golden[name])
-        after = np.ascontiguousarray(injected[name])
-        width = before.dtype.itemsize
-        bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
-        rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
+        before = golden[name]
+        after = injected[name]
+        rows = differing_rows(before, after)
         if len(rows) == 0:
             continue
         first = int(rows[0])

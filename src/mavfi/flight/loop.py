@@ -193,28 +193,23 @@ def _state(name: str, values: np.ndarray) -> State:
 
 
 # ---- what a flight leaves -------------------------------------------------------------------------------------------
-class PublicationCounts:
-    """Counts publications by state; if `want_profile`, also records their times, from which faults are sampled."""
+class Profiler:
+    """Recorder of the publication times of each state, from which faults are sampled."""
 
-    def __init__(self, states: Iterable[StateSpec], *, want_profile: bool) -> None:
-        self.want_profile = want_profile
+    def __init__(self, states: Iterable[StateSpec]) -> None:
         self._acted_on = {spec.name: ActedOn(spec) for spec in states}
-        self.count = dict.fromkeys(self._acted_on, 0)
         self._times: dict[str, list[int]] = {name: [] for name in self._acted_on}
         self._sizes: dict[str, list[int]] = {name: [] for name in self._acted_on}
 
-    def note(self, state: State, time_us: int) -> None:
-        """Count a publication."""
+    def __call__(self, state: State, time_us: int) -> None:
+        """Note a publication that consumers act on."""
         name = state.spec.name
-        self.count[name] += 1
-        if self.want_profile and self._acted_on[name](state):
+        if self._acted_on[name](state):
             self._times[name].append(time_us)
             self._sizes[name].append(len(state.elements))
 
-    def profile(self) -> Profile | None:
-        """The profile; None unless requested."""
-        if not self.want_profile:
-            return None
+    def profile(self) -> Profile:
+        """Times and sizes so far."""
         return Profile(
             {name: np.array(times, np.int64) for name, times in self._times.items()},
             {name: np.array(sizes, np.int32) for name, sizes in self._sizes.items()},
@@ -222,23 +217,21 @@ class PublicationCounts:
 
 
 class LoopRecord:
-    """Record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us).
+    """Record of one flight: rows, events, alarms with the outcomes known so far, counts, and modelled times (us).
 
-    `calls` counts the calls of compiled functions, by name, in flights that address faults by them; else it is empty.
+    Attributes:
+        publications: Number of publications of each state.
+        calls: Number of calls of compiled functions, in flights that address faults by them; else it is empty.
     """
 
-    def __init__(self, kernels: Iterable[str], publications: PublicationCounts) -> None:
+    def __init__(self, kernels: Iterable[str], states: Iterable[str]) -> None:
         self.rows: list[np.ndarray] = []
         self.events: list[Event] = []
         self.alarms: list[AlarmRecord] = []
         self.compute_us = dict.fromkeys(kernels, 0)
         self.recompute_us = {stage.value: 0 for stage in STAGE_KERNELS}
-        self.publications = publications
+        self.publications = dict.fromkeys(states, 0)
         self.calls: dict[str, int] = {}
-
-    def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
-        """Append the row of a control period, see `record.COLUMNS`: shapes (13,), (4,) and (3,)."""
-        self.rows.append(np.concatenate(([1e-6 * now], odometry, command, reference)))
 
     def note(self, now: int, kind: str, data: dict[str, object]) -> None:
         """Append an event."""
@@ -246,8 +239,8 @@ class LoopRecord:
 
     def published(self, state: State, now: int) -> None:
         """Count a publication and record the corresponding event, if any."""
-        self.publications.note(state, now)
         name = state.spec.name
+        self.publications[name] += 1
         header = state.header
         if name == "planning.path":
             vertices = len(state.elements)
@@ -260,7 +253,7 @@ class LoopRecord:
 
     def counts(self) -> tuple[int, ...]:
         """Calls of functions, modelled compute times of kernels, recompute times of stages, and publication counts."""
-        tables = self.calls, self.compute_us, self.recompute_us, self.publications.count
+        tables = self.calls, self.compute_us, self.recompute_us, self.publications
         return tuple(number for table in tables for number in table.values())
 
     def set_counts(self, counts: Iterable[int]) -> None:
@@ -269,7 +262,7 @@ class LoopRecord:
         self.calls = {name: next(rest) for name in self.calls}
         self.compute_us = {name: next(rest) for name in self.compute_us}
         self.recompute_us = {name: next(rest) for name in self.recompute_us}
-        self.publications.count = {name: next(rest) for name in self.publications.count}
+        self.publications = {name: next(rest) for name in self.publications}
 
 
 # ---- what else takes part in a flight -------------------------------------------------------------------------------
@@ -299,18 +292,20 @@ class Listener:
 class Loop:
     """One flight.
 
+    In its methods, `flight` is the state of the flight, `state` a published value.
+
     Args:
         scenario: The mission.
         world: Its world.
         plant: The vehicle, in its initial state.
         make_kernels: Constructs the kernels by name; they may be proxies of remote ones.
-        want_profile: Whether to record the publication times of each state.
         marks: Whether kernels are marked before their steps, which allows recomputation.
 
     Attributes:
         state: All that changes in the flight, besides plant, kernels and record.
         taps: Taps of every published state; hosts install theirs before the flight.
         listeners: Called at the named moments of the flight, in list order.
+        profiler: One of the recorders, whose profile becomes part of the flight; None = no profile is wanted.
         renew: Constructs the kernels of a dead node, given one of them (others are ignored); {} = it never returns.
         restart: Starts the node of a kernel again, see `flight.restarts`; set by what schedules restarts.
         verify: Called with a kernel, the results of a step, and the instant (us); returns the results to publish and
@@ -327,7 +322,6 @@ class Loop:
         plant: Plant,
         make_kernels: Callable[[], dict[str, Kernel]],
         *,
-        want_profile: bool = False,
         marks: bool = False,
     ) -> None:
         # the mission, and what it is flown with
@@ -345,11 +339,11 @@ class Loop:
         }
         self.sensors = Sensors(plant, scenario.localization)
         self.judge = MissionJudge(scenario, world)
-        publications = PublicationCounts(states_with(scenario.localization.kind).values(), want_profile=want_profile)
-        self.record = LoopRecord(self.kernels, publications)
+        self.record = LoopRecord(self.kernels, states_with(scenario.localization.kind))
 
         # what takes part in all flights of this loop
         self.listeners: list[Listener] = []
+        self.profiler: Profiler | None = None
         self.stand_ins: tuple[tuple[Compiled, Compiled], ...] = ()
         self.repeating = False
         self.forked = False
@@ -446,7 +440,8 @@ class Loop:
         for text in self.plant.warnings():
             self.record.note(self.now, "warning", {"text": text})
         log = self.log(self.status, self.plant.rejected_commands)
-        return Flight(log, self.record.publications.profile(), self.world, self.kernels)
+        profile = None if self.profiler is None else self.profiler.profile()
+        return Flight(log, profile, self.world, self.kernels)
 
     # ---- sensors and the control period -----------------------------------------------------------------------------
     def capture(self, now: int) -> None:
@@ -468,7 +463,9 @@ class Loop:
         for listener in self.listeners:
             listener.before_tick(now)
         flight.status = flight.status or self.judge.status(self.plant, flight.failed_plans, now)
-        self.record.write_row(now, self.plant.odometry, flight.command, flight.reference)
+        # The row of this control period, see `record.COLUMNS`.
+        row = np.concatenate(([1e-6 * now], self.plant.odometry, flight.command, flight.reference))
+        self.record.rows.append(row)
         if flight.status is None:
             self._control_period(now)
         for listener in self.listeners:
@@ -717,7 +714,7 @@ class Loop:
             "world": self.world.digest(),
             "compute_us": record.compute_us,
             "recompute_us": record.recompute_us,
-            "publications": record.publications.count,
+            "publications": record.publications,
             "rejected_commands": rejected_commands,
         }
         injections = [] if injector is None else injector.finish()

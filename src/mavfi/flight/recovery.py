@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import proxy
 
-from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, NoDetector, NotedCalls, checked_alarm, is_custom
+from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, NotedCalls, checked_alarm, is_custom
 from mavfi.errors import machine_failure
 from mavfi.flight.decide import (
     INLINE,
@@ -66,8 +66,6 @@ class DetectorTap:
 
     Attributes:
         memory: What it remembers between alarms.
-        alarm: The alarm on the last value, None = none.
-        action: The response to it.
         seals: Whether it needs each value before injection, as sent by the producer.
         states: Names of the states that it needs to see; None = all.
     """
@@ -98,8 +96,6 @@ class DetectorTap:
             self._deadline = PathDeadline(policy.answer_s, loop.scenario.autopilot)
         self.states = self._needed_states(detector.states)
         self.memory = History()
-        self.alarm: Alarm | None = None
-        self.action: Action | None = None
         self._sent: State | None = None
 
     def _needed_states(self, detector_states: Collection[str] | None) -> frozenset[str] | None:
@@ -117,15 +113,10 @@ class DetectorTap:
         """Initialize the detector at the start of a flight."""
         self._calls.start()
 
-    @property
-    def gave_up(self) -> bool:
-        """Whether the detector is called no more."""
-        return isinstance(self._calls, NoDetector)
-
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
         self._sent = state
-        if self._detector_seals:
+        if self._detector_seals and not self.memory.crashed:
             try:
                 self._calls.seal(state, now)
             except Exception as error:  # noqa: BLE001 - of a custom detector
@@ -135,8 +126,6 @@ class DetectorTap:
     def __call__(self, state: State, now: int) -> State | None:
         """Check a value; the result of a recomputation passes without a check unless the policy escalates."""
         awaited = self._loop.state.awaited.pop(state.spec.name, None)
-        self.alarm = None
-        self.action = None
 
         # In degraded mode nothing is checked, and every command is replaced.
         if self._hold is not None:
@@ -187,17 +176,20 @@ class DetectorTap:
             awaited: The recomputation of which it is the result; None = it is that of a regular step.
             is_accepted: Whether the detector has already recorded it.
         """
-        action = self._choose(alarm, state.spec, now, awaited)
+        action = None
+        if alarm is not None:
+            alarm = checked_alarm(self._detector, alarm)
+            action = self._choose(alarm, state.spec, now, awaited)
         # A value that consumers receive in spite of an alarm, or without a check, is one that the detector records.
         if not is_accepted and (action is None or not self._policy.gates):
             self._record_published(state, now)
         if awaited is not None:
-            self._note_outcome(awaited, state)
-        if action is None:
+            self._note_outcome(awaited, state, action)
+        if alarm is None or action is None:
             if self._deadline is not None:
                 self._watch_deadline(state, now)
             return state
-        self._respond_to(state.spec, state, now)
+        self._respond_to(alarm, action, state.spec, state, now)
         is_replaced = action.kind is Response.HOLD and state.spec.name == COMMAND
         if action.withholds or is_replaced:
             return None
@@ -205,6 +197,8 @@ class DetectorTap:
 
     def _record_published(self, state: State, now: int) -> None:
         """Pass a published value to the detector that it has not accepted itself."""
+        if self.memory.crashed:
+            return
         try:
             self._calls.accept(state, now)
         except Exception as error:  # noqa: BLE001 - of a custom detector
@@ -221,17 +215,15 @@ class DetectorTap:
         if spec.stage not in PPC_STAGES or self.memory.degraded:
             return False
         awaited = self._loop.state.awaited.pop(spec.name, None)
-        self.alarm = None
-        self.action = None
-        alarm = None
+        alarm = Alarm(UNREADABLE, spec.stage.value, score=DIFFERENT, fields=(spec.name,), hard=True)
+        action = None
         if not self.memory.silenced and (awaited is None or self._policy.escalates):
-            alarm = Alarm(UNREADABLE, spec.stage.value, score=DIFFERENT, fields=(spec.name,), hard=True)
-        action = self._choose(alarm, spec, now, awaited)
+            action = self._choose(alarm, spec, now, awaited)
         if awaited is not None:
-            self._note_outcome(awaited, None)
+            self._note_outcome(awaited, None, action)
         if action is None:
             return False
-        self._respond_to(spec, None, now)
+        self._respond_to(alarm, action, spec, None, now)
         return True
 
     def give_up(self, error: Exception, now: int) -> None:
@@ -243,22 +235,15 @@ class DetectorTap:
             raise error
         if not self.memory.silenced:
             self._silence(now, CRASHED, {"how": plugin_failure(error) or reason(error)})
-        self._calls = NoDetector()
+        self.memory.crashed = True
 
     # ---- decisions --------------------------------------------------------------------------------------------------
-    def _choose(self, alarm: Alarm | None, spec: StateSpec, now: int, awaited: PendingResult | None) -> Action | None:
-        """Select the response to an alarm on a value of state `spec`; it is also in `action`, with its `alarm`."""
-        if alarm is None:
-            return None
-        self.alarm = alarm  # even if checking it raises: another process may report it
-        alarm = checked_alarm(self._detector, alarm)
-        self.action = decide(Rejection(alarm, spec, self._origin(awaited), now), self.memory, self._policy)
+    def _choose(self, alarm: Alarm, spec: StateSpec, now: int, awaited: PendingResult | None) -> Action | None:
+        """Select the response to an alarm on a value of state `spec`; None = the value passes."""
+        action = decide(Rejection(alarm, spec, self._origin(awaited), now), self.memory, self._policy)
         if alarm.hard and self._policy.degrades:
             self.memory.extend_series(now)
-        self.alarm = alarm
-        if self.action is None:
-            self.alarm = None
-        return self.action
+        return action
 
     def _origin(self, awaited: PendingResult | None) -> Origin:
         """What produced a value; any action other than a retransmission counts as a recomputation."""
@@ -283,17 +268,17 @@ class DetectorTap:
         if action is None:
             return
         alarm = Alarm("deadline", Stage.PLANNING, score=waited_s / policy.answer_s, hard=True)
-        self._record_alarm(alarm, action, state.spec, now)
+        self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._execute(action, state, now)
 
     # ---- responses --------------------------------------------------------------------------------------------------
-    def _respond_to(self, spec: StateSpec, rejected: State | None, now: int) -> None:
+    def _respond_to(self, alarm: Alarm, action: Action, spec: StateSpec, rejected: State | None, now: int) -> None:
         """Record and execute the response to the alarm on a value; `rejected`: the value, None = it is unreadable."""
-        assert self.alarm is not None and self.action is not None  # precondition
-        if self._policy.limits or (self.alarm.hard and self._policy.restarts):
-            self._count_alarm(self.action, now)
-        self._record_alarm(self.alarm, self.action, spec, now)
-        self._execute(self.action, rejected, now)
+        if self._policy.limits or (alarm.hard and self._policy.restarts):
+            self._count_alarm(action, now)
+        # Its outcome may become known later.
+        self._loop.record.alarms.append(record_of(alarm, action, spec.name, now))
+        self._execute(action, rejected, now)
 
     def _count_alarm(self, action: Action, now: int) -> None:
         """Count an alarm against the detector; disable one with too many of them as faulty."""
@@ -310,16 +295,12 @@ class DetectorTap:
         self.memory.silenced = True
         self._loop.record.note(now, kind, data)
 
-    def _record_alarm(self, alarm: Alarm, action: Action, spec: StateSpec, now: int) -> None:
-        """Add an alarm to the flight's record; its outcome may become known later."""
-        self._loop.record.alarms.append(record_of(alarm, action, spec.name, now))
-
-    def _note_outcome(self, awaited: PendingResult, state: State | None) -> None:
-        """Record the outcome of a recomputation, given the response to its result (None = an unreadable one)."""
+    def _note_outcome(self, awaited: PendingResult, state: State | None, action: Action | None) -> None:
+        """Record the outcome of a recomputation, given its result (None = an unreadable one) and the response to it."""
         alarms = self._loop.record.alarms
         if alarms[awaited.alarm_index].action not in (Response.RECOMPUTE, Response.RESEND):
             return
-        if self.action is not None or state is None:
+        if action is not None or state is None:
             outcome = "rejected"
         elif awaited.rejected is not None and state.same_bits(awaited.rejected):
             outcome = "accepted"

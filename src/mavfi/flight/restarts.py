@@ -7,6 +7,7 @@
   reads back its own last outputs as consumers received them (`Kernel.resume`).
 """
 
+from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING, cast
 from weakref import proxy
@@ -30,15 +31,23 @@ CHANGES = "perception.map_update"
 
 
 class Restarts:
-    """Terminates and restarts the nodes of a flight under a policy; constructed before the flight starts."""
+    """Terminates and restarts the nodes of a flight under a policy.
 
-    def __init__(self, loop: Loop, policy: DeadNode = "fresh") -> None:
+    Args:
+        loop: The flight.
+        policy: The policy.
+        earlier: Publications so far, with their instants (us): a restarted node receives some of them.
+    """
+
+    def __init__(self, loop: Loop, policy: DeadNode = "fresh", earlier: Iterable[tuple[State, int]] = ()) -> None:
         self._loop = proxy(loop)  # the loop owns this object
         self._policy = policy
         self._latest: dict[str, State] = {}
         self._updates: list[State] = []
         self._acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
         self._alarms: dict[str, State] = {}
+        for state, now in earlier:
+            self.keep(state, now)
         loop.taps.recorders.append(self.keep)
         loop.restart = self.restart  # also for events of others, which have seen the same publications
 

@@ -1,20 +1,6 @@
 """Control flow of a function: successors of blocks, and loops."""
 
-from collections.abc import Iterator
-
 from mavfi.ir.module import Function, Instruction
-
-
-def uses(function: Function) -> Iterator[tuple[str, Instruction, str]]:
-    """Operands of all instructions: name, user, and label of the block in which the operand must be available.
-
-    A phi needs an incoming value at the end of the block before.
-    """
-    for block in function.blocks:
-        for user in block.all():
-            operands = user.incoming or [(name, block.label) for name in dict.fromkeys(user.uses())]
-            for name, label in operands:
-                yield name, user, label
 
 
 def successors(terminator: Instruction | None) -> list[str]:

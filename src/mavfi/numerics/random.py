@@ -94,8 +94,9 @@ def _to_normal(numbers: np.ndarray) -> None:
         numbers[i] = normal_quantile(max(numbers[i], _SMALLEST))
 
 
-def normals(stream: np.random.Generator, count: int) -> np.ndarray:
-    """Standard normal deviates. Shape (count,)."""
+def normals(key: int, time_us: int, count: int) -> np.ndarray:
+    """Standard normal deviates, a function of key and instant (us) alone. Shape (count,)."""
+    stream = np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, time_us]))
     numbers: np.ndarray = stream.random(count)
     _to_normal(numbers)
     return numbers

@@ -314,12 +314,10 @@ class GuardedMap(OpaqueKeeper[OccupancyMap]):
             values = np.asarray(self.content.log_odds)
         except AttributeError:
             raise self._wrong("lacks log_odds") from None
-        self._require(
-            condition=values.shape == (self._size,),
-            violation=f"log_odds has shape {values.shape}",
-            allowed=f"({self._size},)",
-        )
-        self._require(condition=values.dtype == np.float32, violation=f"log_odds is {values.dtype}", allowed="float32")
+        if values.shape != (self._size,):
+            raise self._wrong(f"log_odds has shape {values.shape}; allowed: ({self._size},)")
+        if values.dtype != np.float32:
+            raise self._wrong(f"log_odds is {values.dtype}; allowed: float32")
         return values
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -334,24 +332,15 @@ class GuardedMap(OpaqueKeeper[OccupancyMap]):
             raise
         except Exception as error:  # noqa: BLE001 - any exception of a user's map
             raise self._wrong(f"insert raised {reason(error)}") from None
-        self._require(
-            condition=voxels.ndim == 1 and voxels.shape == log_odds.shape,
-            violation=f"insert gave shapes {voxels.shape} and {log_odds.shape}",
-            allowed="(n,) and (n,)",
-        )
-        self._require(
-            condition=voxels.dtype == np.int32 and log_odds.dtype == np.float32,
-            violation=f"insert gave {voxels.dtype} and {log_odds.dtype}",
-            allowed="int32 and float32",
-        )
+        if voxels.ndim != 1 or voxels.shape != log_odds.shape:
+            raise self._wrong(f"insert gave shapes {voxels.shape} and {log_odds.shape}; allowed: (n,) and (n,)")
+        if voxels.dtype != np.int32 or log_odds.dtype != np.float32:
+            raise self._wrong(f"insert gave {voxels.dtype} and {log_odds.dtype}; allowed: int32 and float32")
         if len(voxels) > 0:
             low = int(voxels.min())
             high = int(voxels.max())
-            self._require(
-                condition=0 <= low and high < self._size,
-                violation=f"insert gave voxels from {low} to {high}",
-                allowed=f"0 to {self._size - 1}",
-            )
+            if low < 0 or high >= self._size:
+                raise self._wrong(f"insert gave voxels from {low} to {high}; allowed: 0 to {self._size - 1}")
         return voxels, log_odds
 
     def mark(self) -> None:
@@ -361,11 +350,6 @@ class GuardedMap(OpaqueKeeper[OccupancyMap]):
     def rollback(self) -> None:
         """Restore the map of the last mark."""
         self.content.rollback()
-
-    def _require(self, *, condition: bool, violation: str, allowed: str) -> None:
-        """Refuse a value of the user's map unless a condition holds."""
-        if not condition:
-            raise self._wrong(f"{violation}; allowed: {allowed}")
 
     def _wrong(self, text: str) -> BadInputError:
         """The error about a value of the user's map."""

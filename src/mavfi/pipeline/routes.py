@@ -168,14 +168,15 @@ class Routes:
 
     def _quickened(self, path: np.ndarray, velocity: np.ndarray, counter: np.ndarray) -> np.ndarray:
         """Path after stochastic local improvements that avoid `counter`."""
+        clearance = self.clearance_map
         work, buffer = self._buffer
         if len(path) > len(work) - 2:
             return path
         work[: len(path)] = path
         count = travel.quicken(
             counter,
-            self.clearance_map.wide,
-            self.clearance_map.grid,
+            clearance.wide,
+            clearance.grid,
             self._config.flight_lower,
             self._config.flight_upper,
             work,

@@ -12,10 +12,10 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from mavfi.analysis import published as paper
 from mavfi.analysis.measures import (
-    in_leading,
-    leading,
     leading_faults,
-    leading_names,
+    leading_populations,
+    leading_rate,
+    leading_runs,
     population_names,
     population_text,
 )
@@ -61,7 +61,7 @@ def success(runs: Runs) -> Figure | None:
     if settings in ([], [GOLDEN]):
         return None
     names = population_names(chosen, ("environment", "setting"))
-    summarized = leading_names(chosen)
+    summarized = leading_populations(chosen)
     if len(summarized) > 1 and not population_text(summarized):  # a group would be left out: all faults are shown
         is_faulty = pl.col("kind") == INJECTED
         chosen = chosen.adding(population=pl.when(is_faulty).then(pl.lit(ALL_BITS)).otherwise(pl.col("population")))
@@ -70,7 +70,7 @@ def success(runs: Runs) -> Figure | None:
     for setting in settings:
         for environment, rate in _rates(chosen, setting, names).items():
             missions = chosen.where(environment=environment, setting=setting)
-            link = links.to_runs(in_leading(missions, names), environment=environment, setting=setting)
+            link = links.to_runs(leading_runs(missions, names), environment=environment, setting=setting)
             published = None
             if paper.comparable(missions):
                 published = paper.success(environment, setting)
@@ -162,7 +162,7 @@ def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
     """Success rates by environment, without undefined ones."""
     rates = {}
     for (environment,), missions in runs.where(setting=setting).groups("environment").items():
-        rate = leading(missions, names, "success")
+        rate = leading_rate(missions, names, "success")
         if rate is not None and rate.rate is not None:
             rates[environment] = rate
     return rates
@@ -242,7 +242,7 @@ def flight_time(runs: Runs) -> Figure | None:
 
 
 def _arrival_caption(runs: Runs) -> str:
-    text = population_text(leading_names(runs))
+    text = population_text(leading_populations(runs))
     faults = f"faults in {text} bits" if text else "faults"
     return f"Share of missions that arrived, {faults}, by flight time over the golden run's; lost ones never do."
 

@@ -18,6 +18,7 @@ from mavfi.report.figures import draw
 from mavfi.report.text import (
     checks,
     differing_null_runs,
+    grouped,
     header,
     markdown_grid,
     null_line,
@@ -119,14 +120,7 @@ def markdown_table(table: Table) -> str:
 def _grid(table: Table) -> str:
     """Format the cells; a first cell equal to the one above is left empty."""
     columns, rows = shown(table)
-    cells = []
-    first_above = ""
-    for first, *others in rows:
-        if first == first_above:
-            cells.append(["", *others])
-        else:
-            cells.append([first, *others])
-        first_above = first
+    cells = [row for row, _ in grouped(rows)]
     # leading columns that are aligned left: those that identify the row, and other texts
     leading_texts = sum(1 for _ in takewhile(lambda column: column.form == TEXT, columns))
     return markdown_grid([column.heading for column in columns], cells, max(2, table.keys, leading_texts))

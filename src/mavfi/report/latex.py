@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from mavfi.analysis.table import TEXT, Table
-from mavfi.report.text import shown
+from mavfi.report.text import grouped, shown
 
 _ESCAPES = str.maketrans(
     {
@@ -44,6 +44,13 @@ def latex_table(table: Table) -> str:
             alignment += "l"
         else:
             alignment += "r"
+    # rows, in groups of equal first cells if there are any
+    has_groups = len({row[0] for row in rows}) < len(rows)
+    body = []
+    for cells, begins_group in grouped(rows):
+        if has_groups and begins_group:
+            body.append(r"\addlinespace")
+        body.append(_line(cells))
     lines = [
         r"% needs \usepackage{booktabs}",
         r"\begin{table}",
@@ -54,29 +61,13 @@ def latex_table(table: Table) -> str:
         r"\toprule",
         _line([column.heading for column in columns]),
         r"\midrule",
-        *_body(rows),
+        *body,
         r"\bottomrule",
         r"\end{tabular}",
     ]
     if table.notes:
         lines += ["", r"\medskip\footnotesize", _escaped("; ".join(table.notes))]
     return "\n".join([*lines, r"\end{table}", ""])
-
-
-def _body(rows: Sequence[Sequence[str]]) -> list[str]:
-    """The lines of the rows, in groups of equal first cells if there are any."""
-    has_groups = len({row[0] for row in rows}) < len(rows)
-    lines = []
-    first_above = None
-    for first, *others in rows:
-        if first == first_above:
-            lines.append(_line(["", *others]))
-            continue
-        if has_groups and first_above is not None:
-            lines.append(r"\addlinespace")
-        lines.append(_line([first, *others]))
-        first_above = first
-    return lines
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -146,60 +146,6 @@ def setting_label(setting: str) -> str:
     return words
 
 
-class LineEnd(NamedTuple):
-    """The right end of a line: its height (data), and the name and colour of the line."""
-
-    y: float
-    name: str
-    colour: str
-
-
-def name_lines(axes: Axes, ends: Sequence[LineEnd]) -> None:
-    """Name lines to the right of the axes, each with a thin leader to its end; names keep a distance.
-
-    Args:
-        axes: With its final limits.
-        ends: The lines.
-    """
-    size = 8.5  # of the names (pt)
-    low, high = axes.get_ylim()
-    height_in = 0.8 * axes.figure.get_figheight()  # type: ignore[union-attr] # about that of the axes
-    gap = (high - low) * 1.3 * size / (72.0 * height_in)
-    ordered = sorted(ends, key=lambda end: -end.y)
-    # from above, each at its height or a gap below the one above it; then from below, into the axes
-    heights: list[float] = []
-    for end in ordered:
-        ceiling = high
-        if heights:
-            ceiling = heights[-1] - gap
-        heights.append(min(end.y, ceiling))
-    floor = low
-    for index in reversed(range(len(heights))):
-        heights[index] = max(heights[index], floor)
-        floor = heights[index] + gap
-    beside = axes.get_yaxis_transform()  # share of the width, and data
-    for end, height in zip(ordered, heights, strict=True):
-        axes.annotate(
-            end.name,
-            (1.0, end.y),
-            (1.04, height),
-            xycoords=beside,
-            textcoords=beside,
-            va="center",
-            fontsize=size,
-            color=end.colour,
-            annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": end.colour,
-                "linewidth": 0.7,
-                "relpos": (0.0, 0.5),
-                "shrinkA": 2,
-                "shrinkB": 0,
-            },
-        )
-
-
 def write(figure: Figure, path: Path, dots_per_inch: float = DOTS_PER_INCH) -> Path:
     """Write a figure in the format given by the file extension; `BadInputError` if the file cannot be written."""
     with writing(path):
@@ -301,7 +247,12 @@ def _arrange(figure: Figure, panels: Sequence[Axes], limit: float, sizes: _Lette
     flat = panels
     if figure.subfigs:  # their panels have the scale of a map
         flat = []
-    _join_labels(figure, flat, sizes)
+    # equal labels below all panels become one: those of narrow panels would overlap
+    labels = {axes.get_xlabel() for axes in flat}
+    if len(labels) == 1 and "" not in labels:
+        for axes in flat:
+            axes.set_xlabel("")
+        figure.supxlabel(labels.pop(), fontsize=sizes.normal)
     for legend in figure.findobj(Legend):
         _fold_legend(figure, legend, sizes)
     # extents are known only after a layout: each step below needs those that the step before has changed
@@ -333,18 +284,16 @@ def _resize(figure: Figure, panels: Sequence[Axes]) -> None:
     # height in proportion, but such that panels are not flat, and never above the one before
     figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns, _MIN_HEIGHT)))
     _set_letters(figure, _IN_PAPERS)
-    _shrink(figure, max(_SCALE, target / width))
+    # marks and lines
+    scale = max(_SCALE, target / width)
+    for line in figure.findobj(Line2D):
+        line.set_markersize(scale * line.get_markersize())
+        line.set_linewidth(scale * line.get_linewidth())
+        line.set_markeredgewidth(scale * line.get_markeredgewidth())
+    for bars in figure.findobj(LineCollection):
+        bars.set_linewidth(list(scale * np.atleast_1d(bars.get_linewidth())))
     if len(panels) == 1:
         panels[0].set_title("", loc="left")
-
-
-def _join_labels(figure: Figure, panels: Sequence[Axes], sizes: _LetterSizes) -> None:
-    """Replace equal labels below all panels by one: those of narrow panels would overlap."""
-    labels = {axes.get_xlabel() for axes in panels}
-    if len(labels) == 1 and "" not in labels:
-        for axes in panels:
-            axes.set_xlabel("")
-        figure.supxlabel(labels.pop(), fontsize=sizes.normal)
 
 
 def _fold_texts(figure: Figure, panels: Sequence[Axes]) -> None:
@@ -365,16 +314,6 @@ def _set_letters(figure: Figure, sizes: _LetterSizes) -> None:
         if text.get_fontproperties().get_size_in_points() < _IN_PAPERS.normal:
             size = sizes.small
         text.set_fontsize(size)
-
-
-def _shrink(figure: Figure, scale: float) -> None:
-    """Scale marks and lines."""
-    for line in figure.findobj(Line2D):
-        line.set_markersize(scale * line.get_markersize())
-        line.set_linewidth(scale * line.get_linewidth())
-        line.set_markeredgewidth(scale * line.get_markeredgewidth())
-    for bars in figure.findobj(LineCollection):
-        bars.set_linewidth(list(scale * np.atleast_1d(bars.get_linewidth())))
 
 
 def _fold_legend(figure: Figure, legend: Legend, sizes: _LetterSizes) -> None:

@@ -1,6 +1,6 @@
 """Formatting of numbers, sentences and tables, shared by all reports."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -113,6 +113,17 @@ def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
     columns = [table.columns[index] for index in visible]
     rows = [[cell(row[index], table.columns[index].form) for index in visible] for row in table.rows]
     return columns, rows
+
+
+def grouped(rows: Iterable[Sequence[str]]) -> Iterator[tuple[list[str], bool]]:
+    """Rows, whose first cell is left empty if it equals the one above; whether a further group of such rows begins."""
+    above = None
+    for first, *others in rows:
+        if first == above:
+            yield ["", *others], False
+        else:
+            yield [first, *others], above is not None
+        above = first
 
 
 def header(campaign: Mapping[str, Any]) -> list[str]:
@@ -290,13 +301,8 @@ def _grid(headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequen
         justify: JustifyMethod = "left" if index < max(2, keys) else "right"
         grid.add_column(escape(heading), justify=justify, overflow="fold", width=width)
     has_groups = any(above[0] == below[0] for above, below in pairwise(rows))
-    group = None
-    for first, *others in rows:
-        if first == group:
-            grid.add_row("", *map(escape, others))
-            continue
-        if has_groups and group is not None:
+    for (first, *others), begins_group in grouped(rows):
+        if has_groups and begins_group:
             grid.add_section()
-        grid.add_row(f"[bold]{escape(first)}[/bold]", *map(escape, others))
-        group = first
+        grid.add_row(f"[bold]{escape(first)}[/bold]" if first else "", *map(escape, others))
     return grid

@@ -296,6 +296,6 @@ class Camera:
         ranges = np.empty(len(self.directions), np.float32)
         cast_rays(self.columns, self._voxels, pose, self.directions, self._config.range, ranges)
         if self._config.noise > 0.0:
-            stream = np.random.Generator(np.random.Philox(key=self.noise_key, counter=[0, 0, 0, time_us]))
-            ranges *= np.maximum(1.0 + self._config.noise * normals(stream, len(ranges)), 0.0)
+            noise = normals(self.noise_key, time_us, len(ranges))
+            ranges *= np.maximum(1.0 + self._config.noise * noise, 0.0)
         return ranges

@@ -60,8 +60,7 @@ class Imu:
             The truth with bias and noise. Shape (6,).
         """
         interval = max(time_us - self.time_us, _SHORTEST_INTERVAL_US) * 1e-6
-        stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))
-        white, walk = normals(stream, 12).reshape(2, 6)
+        white, walk = normals(self._noise_key, time_us, 12).reshape(2, 6)
         self.bias = self.bias + self._scale * _WALK * math.sqrt(interval) * walk
         self.time_us = time_us
         sample: np.ndarray = truth + self.bias + self._scale * _WHITE / math.sqrt(interval) * white
@@ -94,7 +93,7 @@ class Positioning:
         Returns:
             Position (m) and heading (rad), world frame, with noise. Shape (4,).
         """
-        stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))
-        measured: np.ndarray = np.array([*odometry[:3], yaw_of(odometry[6:10])]) + self._deviation * normals(stream, 4)
+        truth = np.array([*odometry[:3], yaw_of(odometry[6:10])])
+        measured: np.ndarray = truth + self._deviation * normals(self._noise_key, time_us, 4)
         measured[3] = wrap_angle(measured[3])
         return measured

@@ -112,9 +112,7 @@ def measure(path: Path) -> RigidBody:
     """
     spec = _read(path)
     free = _free_body(spec, path)
-    model = _compile(spec, path)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = _compile(spec, path)
     # the free body, and the bodies fixed to it, which have higher numbers
     root = _number_of(free, model)
     tree = model.body_rootid[root]
@@ -254,13 +252,17 @@ def _free_body(spec: Any, path: Path) -> Any:
     return free[0]
 
 
-def _compile(spec: Any, path: Path) -> Any:
+def _compile(spec: Any, path: Path) -> tuple[Any, Any]:
+    """The compiled model, and its data in the initial position."""
     try:
-        return spec.compile()
+        model = spec.compile()
     except (ValueError, RuntimeError) as error:
         reason = _line(error)
         allowed = "; allowed: a mass and an inertia above 0" if "mass and inertia" in reason else ""
         raise BadInputError(f"{path}: cannot be compiled ({reason}){allowed}") from None
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
 
 
 def _line(error: Exception) -> str:
@@ -297,9 +299,7 @@ def site_motors(path: Path) -> list[SiteMotor]:
     """
     spec = _read(path)
     free = _free_body(spec, path)
-    model = _compile(spec, path)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = _compile(spec, path)
     root = _number_of(free, model)
     body_axes = data.xmat[root].reshape(3, 3)
     motors = []
@@ -354,9 +354,7 @@ def static_geoms(path: Path) -> list[StaticGeom]:
     Raises:
         BadInputError: It cannot be read or compiled.
     """
-    model = _compile(_read(path), path)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = _compile(_read(path), path)
     geoms = []
     for geom in range(model.ngeom):
         body = model.geom_bodyid[geom]

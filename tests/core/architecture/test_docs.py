@@ -67,9 +67,9 @@ def count_words(page: str) -> int:
 def test_pages_are_no_longer_than_somebody_reads():
     pages = [*(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"))]
     pages += [page for page in DOCS.rglob("*.md") if not text(page).startswith("<!-- Written by")]
-    words = {page.relative_to(ROOT).as_posix(): count_words(text(page)) for page in pages}
-    longest = sorted(words, key=lambda name: -words[name])[:5]
-    assert sum(words.values()) <= MAX_WORDS, f"longest: {longest}"
+    word_counts = {page.relative_to(ROOT).as_posix(): count_words(text(page)) for page in pages}
+    longest = sorted(word_counts, key=lambda name: -word_counts[name])[:5]
+    assert sum(word_counts.values()) <= MAX_WORDS, f"longest: {longest}"
     assert count_words("one two\n\n    mavfi fly\n\n<!-- a:begin -->\nthree\n<!-- a:end -->\n| - | 4 |\n") == 3
 
 
@@ -102,17 +102,19 @@ def commands_of(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_commands_that_are_named_exist(page):
     program = typer.main.get_command(app)
-    for words in commands_of(page):
+    for command_words in commands_of(page):
         command = program
-        while words and words[0] in getattr(command, "commands", {}):
-            command = command.commands[words.pop(0)]
-        assert command is not program, f"mavfi {' '.join(words)}"
-        known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
-        options = {word.partition("=")[0] for word in words if re.match(r"--[a-z]", word)}
+        while command_words and command_words[0] in getattr(command, "commands", {}):
+            command = command.commands[command_words.pop(0)]
+        assert command is not program, f"mavfi {' '.join(command_words)}"
+        known_options = {
+            option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)
+        }
+        options = {word.partition("=")[0] for word in command_words if re.match(r"--[a-z]", word)}
         everywhere = {option for parameter in program.params for option in parameter.opts} | {"--help"}
         if page.name == "CHANGELOG.md":
             everywhere |= {name.split()[-1] for name in OPTIONS}  # what earlier versions had
-        assert options <= known | everywhere, f"{command.name}: {options - known}"
+        assert options <= known_options | everywhere, f"{command.name}: {options - known_options}"
 
 
 def test_every_test_that_is_named_exists():

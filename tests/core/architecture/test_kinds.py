@@ -79,9 +79,9 @@ def test_every_class_of_a_fault_and_of_a_draw_is_known():
 
 
 def test_only_samplers_hosts_and_views_ask_what_kind_of_experiment_this_is():
-    found = {
+    questions = {
         name: number
         for name, tree in modules().items()
         if not name.startswith(HOMES) and (number := sum(map(asks, ast.walk(tree))))
     }
-    assert found == ALLOWED
+    assert questions == ALLOWED

@@ -25,18 +25,30 @@ def commands():
     done = subprocess.run(
         ["make", "--dry-run", *TARGETS], cwd=ROOT, env=outside, capture_output=True, text=True, check=True
     )
-    found = [line.partition(" -m pytest ")[2].split() for line in done.stdout.splitlines() if " -m pytest " in line]
-    assert len(found) == len(TARGETS)
-    return found
+    pytest_options = [
+        line.partition(" -m pytest ")[2].split() for line in done.stdout.splitlines() if " -m pytest " in line
+    ]
+    assert len(pytest_options) == len(TARGETS)
+    return pytest_options
 
 
 def test_skipped_tests_are_named_with_their_reasons_and_failed_ones_too(commands, tmp_path):
     (tmp_path / "test_some.py").write_text(TESTS, encoding="utf-8")
     options = {option for command in commands for option in command if option.startswith("-r")}
     assert len(options) == 1 and all(options <= set(command) for command in commands), "in every target alike"
-    own = ["-c", os.devnull, "--rootdir", str(tmp_path), "-p", "no:cacheprovider", "-p", "no:xdist", *options]
+    pytest_arguments = [
+        "-c",
+        os.devnull,
+        "--rootdir",
+        str(tmp_path),
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        *options,
+    ]
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", *own, "test_some.py"],
+        [sys.executable, "-m", "pytest", *pytest_arguments, "test_some.py"],
         cwd=tmp_path,
         capture_output=True,
         text=True,

@@ -63,15 +63,15 @@ ELSEWHERE = ("extras/airsim/runner.py", "extras/ros/ros2/stack/driver.py", "extr
 
 
 def test_whatever_is_imported_is_asked_for():
-    asked = {canonicalize_name(Requirement(wanted).name) for wanted in LOCKED}
+    locked_names = {canonicalize_name(Requirement(wanted).name) for wanted in LOCKED}
     imported = {
         name.split(".")[0] for path, tree in modules().items() if path not in ELSEWHERE for name in imports(tree)
     }
     homes = {"foxglove": ["foxglove-sdk"], **packages_distributions()}  # of extras that may not be installed here
     of_ros = {name for name in imported if name == "rclpy" or name.endswith("_msgs")}  # see test_code.py
     foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - of_ros
-    known = {name: {canonicalize_name(home) for home in homes.get(name, [name])} for name in foreign}
-    assert {name for name, own in known.items() if not own & asked} == set()
+    distributions = {name: {canonicalize_name(home) for home in homes.get(name, [name])} for name in foreign}
+    assert {name for name, names in distributions.items() if not names & locked_names} == set()
 
 
 @pytest.mark.parametrize(("module", "extra"), [("polars", "report"), ("sklearn", "train"), ("foxglove", "live")])
@@ -82,7 +82,7 @@ def test_a_missing_package_is_named_with_the_extra_that_brings_it(module, extra)
 
 
 def test_only_the_dask_executor_needs_the_extra_and_only_when_it_is_used():
-    needing = {name for name, tree in modules().items() if any("distributed" in found for found in imports(tree))}
+    needing = {name for name, tree in modules().items() if any("distributed" in imported for imported in imports(tree))}
     assert needing == {"extras/dask/executor.py"}
     code = "import sys, mavfi.cli, mavfi.extras.dask.executor; print('distributed' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

@@ -93,15 +93,15 @@ def test_entry_points_are_those_that_are_shipped(group):
     shipped_here = dict(getattr(import_module(module), name))
     for internal in INTERNAL.get(group, ()):
         del shipped_here[internal]
-    of_core = {name: place for name, place in DECLARED[group].items() if not place.startswith("mavfi.extras.")}
+    of_core = {name: target for name, target in DECLARED[group].items() if not target.startswith("mavfi.extras.")}
     assert of_core.items() <= shipped_here.items() <= DECLARED[group].items()
 
 
 @pytest.mark.parametrize("group", DECLARED)
 def test_entry_points_resolve(group):
-    found = list(entry_points(group=group))
-    assert found
-    for point in found:
+    points = list(entry_points(group=group))
+    assert points
+    for point in points:
         target = point.load()
         kinds = (Chapter, Path)  # Path: the folder of a template
         assert callable(target) or isinstance(target, kinds) or hasattr(target, "check_flown"), point.name

@@ -13,34 +13,22 @@ from mavfi.version import __version__
 from tests.core.architecture.source import ROOT
 
 CHOSEN = (
-    "analysis/test_*.py",
+    "analysis/test_runs.py",
     "campaign/test_config.py",
-    "campaign/test_plan.py",
-    "campaign/test_names.py",
-    "campaign/test_store.py",
     "cli/test_app.py",
     "cli/test_options.py",
-    "levels/test_*.py",
-    "test_config.py",
-    "test_dropped.py",
+    "levels/test_contracts.py",
+    "levels/test_text.py",
     "test_files.py",
-    "test_mission.py",
-    "test_outcomes.py",
     "test_plugins.py",
-    "test_states.py",
 )
 """Fast tests of what extras plug into, in tests/core/unit."""
 WITH_EXTRAS = {
-    "analysis/test_about.py": ("test_trials_on_a_node",),
-    "analysis/test_flight_views.py": ("test_tables_on_faults_say_that_rates_are_conditional",),
-    "analysis/test_kernel_views.py": ("test_which_tables_a_campaign_of_kernels_has",),
     "analysis/test_runs.py": ("test_sites_of_every_level",),
     "campaign/test_config.py": (
         "test_shipped_campaigns_are_valid_and_survive_the_ledger",
         "test_mistakes_are_named_when_the_file_is_read",
     ),
-    "campaign/test_plan.py": ("test_specs_survive_json_with_faults_of_every_level",),
-    "levels/test_state.py": ("test_messages_that_cannot_be_drawn_are_refused",),
     "levels/test_text.py": ("test_errors_are_one_line_that_says_what_is_allowed",),
     "test_files.py": ("test_a_name_that_is_too_long_is_one_line",),
 }

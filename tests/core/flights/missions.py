@@ -12,9 +12,10 @@ from mavfi.flight.fly import fly
 from mavfi.levels.state.fault import StateFault
 from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionSpec, MissionStatus, time_limit
 from mavfi.sim.environments.generated import arena_world
+from tests.night import at_night
 
 AUTOPILOTS = ("published", "hardened")
-each_autopilot = pytest.mark.parametrize("autopilot", ["published", pytest.param("hardened", marks=pytest.mark.long)])
+each_autopilot = pytest.mark.parametrize("autopilot", ["published", *at_night("hardened")])
 """By day the default profile, at night both."""
 GOAL = (22.0, -4.0, 3.0)
 """There is a predicted collision and a second plan on the way."""

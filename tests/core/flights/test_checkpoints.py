@@ -18,6 +18,7 @@ from mavfi.flight.state import EventKind, FlightState
 from mavfi.levels.state.injector import StateInjector
 from mavfi.states import STATES
 from tests.core.flights.missions import Scripted, fault, mission
+from tests.night import at_night
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
 
@@ -114,15 +115,13 @@ CASES = {
 }
 
 
-IN_THE_FAST_SUITE = ("published", "hardened", "octree", "gaussian", "autoencoder", "recovery")
-
-
-def marked(case):
-    marks = () if case in IN_THE_FAST_SUITE else pytest.mark.slow
-    return pytest.param(case, marks=marks)
-
-
-@pytest.mark.parametrize("case", [marked(case) for case in CASES])
+@pytest.mark.parametrize(
+    "case",
+    [
+        *("published", "octree", "gaussian", "recovery"),
+        *at_night("hardened", "noise", "rrt", "autoencoder", "acceptance", "recovery hardened"),
+    ],
+)
 def test_a_flight_continues_from_any_checkpoint_as_it_did(case):
     scenario, detector, injected = CASES[case]()
     truth = content(fly(scenario, injected, detector).log)

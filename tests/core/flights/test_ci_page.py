@@ -25,6 +25,7 @@ def test_the_page_lists_every_measure_and_the_campaign_its_requirements():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_steps_of_the_workflow_run(tmp_path):
     steps = yaml.safe_load((EXAMPLE / "faults-workflow.yml").read_text())["jobs"]["faults"]["steps"]
     install, *commands = [step["run"] for step in steps if "run" in step]

@@ -159,6 +159,7 @@ CAMPAIGN = {
 }
 
 
+@pytest.mark.long
 def test_a_campaign_draws_several_faults_jointly_and_its_first_ones_as_without_the_others(tmp_path):
     several = Campaign.model_validate(CAMPAIGN)
     single = Campaign.model_validate({**CAMPAIGN, "sampling": {"level": "state"}, "null_runs": 0})

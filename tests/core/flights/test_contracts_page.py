@@ -54,11 +54,11 @@ def test_an_example_keeps_its_contract(folder, suite):
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.split()[-1])
 def test_an_example_flies(folder, capsys, command):
-    words = shlex.split(command)[1:]
-    assert run([*words, "--json"]) == 0, capsys.readouterr().err
+    arguments = shlex.split(command)[1:]
+    assert run([*arguments, "--json"]) == 0, capsys.readouterr().err
     data = json.loads(capsys.readouterr().out)
     assert data["status"] == "success" and len(COMMANDS) == 6
-    assert [alarm["source"] for alarm in data["alarms"]] == ["ceiling"] * ("--detector" in words)
+    assert [alarm["source"] for alarm in data["alarms"]] == ["ceiling"] * ("--detector" in arguments)
     assert all(injection["activated"] for injection in data["injections"])
 
 

@@ -11,10 +11,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.store import Store
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
-from mavfi.flight.host import ArmSetup
 from mavfi.flight.known_flights import FlownArm
-from mavfi.flight.mission_flights import LocalHost
-from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
 from mavfi.plugins import allow_typed
 from mavfi.record import CRASHED, End
 from mavfi.report.explain import alarm_lines
@@ -99,38 +96,6 @@ class Ending(Scripted):
     def check(self, state, time_us):
         self.checks += 1
         if self.checks == 400:
-            os.kill(os.getpid(), signal.SIGSEGV)
-
-
-@pytest.mark.slow
-def test_faults_in_instructions_are_flown_without_those_of_the_detector():
-    """Where it ends the child of an injected run, that is no effect on the kernel; the other arm is not concerned."""
-    faults = draw_instruction_faults(mission(), InstructionRequest({"pid": 6}), seed=3).faults["pid"]
-    arms = {"": ArmSetup(mission()), "own": ArmSetup(mission(), lambda: EndingLate())}
-    flights = LocalHost().mission(arms)
-    flights.register_golden("", flights.golden(""))
-    runs = [(arm, one) for arm in arms for one in faults]
-    flown = {runs[place]: flight for place, flight in flights.injected(runs)}
-    assert not any(isinstance(flown["", one], Exception) for one in faults)
-    ended = [one for one in faults if isinstance(flown["own", one], Exception)]
-    assert ended
-    for one in faults:
-        if one in ended:
-            message = f"detector {__name__}:EndingLate: check ended its process (SIGSEGV)"
-            assert str(flown["own", one]).startswith(message)
-        else:  # the call has no effect, so its child does not fly on
-            assert flown["own", one].log.kernel.effect == flown["", one].log.kernel.effect == "masked"
-
-
-class EndingLate(Scripted):
-    """A check in a forked child ends the process."""
-
-    def start(self):
-        super().start()
-        self.process = os.getpid()
-
-    def check(self, state, time_us):
-        if os.getpid() != self.process:
             os.kill(os.getpid(), signal.SIGSEGV)
 
 

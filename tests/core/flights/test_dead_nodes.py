@@ -18,7 +18,7 @@ planner that begins to count at 0 is refused."""
 
 
 @cache
-def died(policy, seed, place):
+def died(policy, seed, detector_place):
     """The log of a flight whose planner dies at its answer to the alarm of that place."""
     scenario = resolve(MissionSpec(environment="dense", seed=seed, dead_node=policy))
     loop = new_loop(scenario)
@@ -28,7 +28,7 @@ def died(policy, seed, place):
     def stepped(kernel, states, now):
         if kernel.name == "planner" and int(states[0].header["future_collision_seq"][0]) > numbers[-1]:
             numbers.append(int(states[0].header["future_collision_seq"][0]))
-            if len(numbers) == place + 1:
+            if len(numbers) == detector_place + 1:
                 restarts.die(kernel.name, now, AWAY_US)
 
     killer = Listener()

@@ -13,10 +13,12 @@ from sklearn.neighbors import NearestNeighbors
 
 from mavfi.analysis.runs import Runs
 from mavfi.cli import run
+from tests.night import at_night
 from tests.pages import DOCS, commands, files, importing_from
 
 PAGE = "how-to/extending.md"
 COMMANDS = [command.removeprefix("mavfi ") for command in commands(PAGE) if command.startswith("mavfi ")]
+FLIGHTS = [command for command in COMMANDS if command.startswith("fly")]
 
 
 class NeighboursWithThePyodInterface:
@@ -56,18 +58,18 @@ def test_every_block_names_its_file():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", [c for c in COMMANDS if c.startswith("fly")])
+@pytest.mark.parametrize("command", [*FLIGHTS[::3], *at_night(*FLIGHTS[1::3], *FLIGHTS[2::3])])
 def test_the_commands_of_the_page_fly(folder, library_of_models, capsys, command):
     assert run([*shlex.split(command), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["status"] == "success"
-    words = shlex.split(command)
+    arguments = shlex.split(command)
     for option in ("planner", "autopilot", "vehicle", "environment"):
-        if f"--{option}" in words and (given := words[words.index(f"--{option}") + 1]).endswith(".yaml"):
-            name = re.search(r"^name: (\w+)", (folder / given).read_text(encoding="utf-8"), re.MULTILINE)[1]
+        if f"--{option}" in arguments and (value := arguments[arguments.index(f"--{option}") + 1]).endswith(".yaml"):
+            name = re.search(r"^name: (\w+)", (folder / value).read_text(encoding="utf-8"), re.MULTILINE)[1]
             assert data[option] == name
-    if "--detector" in words:
-        source = words[words.index("--detector") + 1].partition(":")[2].lower()
+    if "--detector" in arguments:
+        source = arguments[arguments.index("--detector") + 1].partition(":")[2].lower()
         assert [alarm["source"] for alarm in data["alarms"]] == [source]
 
 

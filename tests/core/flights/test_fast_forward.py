@@ -1,6 +1,6 @@
 """What fast-forwarding answers is what a flight from take-off is, bit for bit."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 
 import pytest
@@ -19,9 +19,10 @@ from mavfi.flight.known_flights import FlownArm
 from mavfi.flight.mission_flights import LocalHost
 from mavfi.levels.level import parse
 from mavfi.levels.state.fault import StateFault
-from mavfi.record import End, canonical
-from tests.core.flights.missions import AUTOPILOTS, Scripted, fault, golden, mission
+from mavfi.record import End, canonical, plain
+from tests.core.flights.missions import Scripted, fault, golden, mission
 from tests.core.flights.test_checkpoints import Nervous, content, detector_of
+from tests.night import at_night
 
 FAULTS = [
     fault("control.command", "vx", 4.0, 62),
@@ -82,16 +83,13 @@ def every_fault(autopilot, arm, forward, detector, faults=FAULTS):
     return other
 
 
-IN_THE_FAST_SUITE = [("published", "gaussian"), ("hardened", "")]
-
-
-def marked(autopilot, arm):
-    marks = () if (autopilot, arm) in IN_THE_FAST_SUITE else (pytest.mark.slow, pytest.mark.long)
-    return pytest.param(autopilot, arm, marks=marks)
-
-
 @pytest.mark.parametrize(
-    ("autopilot", "arm"), [marked(autopilot, arm) for autopilot in AUTOPILOTS for arm in ARMS[autopilot]]
+    ("autopilot", "arm"),
+    [
+        ("published", "gaussian"),
+        *at_night(*(("published", arm) for arm in ("", "autoencoder", "nervous"))),
+        *at_night(*(("hardened", arm) for arm in ARMS["hardened"])),
+    ],
 )
 def test_fast_forwarded_flights_are_the_flights(autopilot, arm):
     forward = FastForward(mission(autopilot))
@@ -103,6 +101,7 @@ def test_fast_forwarded_flights_are_the_flights(autopilot, arm):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_detectors_share_what_was_flown_in_any_order():
     forward, arms = FastForward(mission()), {name: make() for name, make in ARMS["published"].items()}
     for injected in (FAULTS[3], None, FAULTS[6]):
@@ -117,7 +116,7 @@ def test_the_golden_flight_leaves_its_profile_and_can_be_asked_for_again():
     forward = FastForward(mission())
     for _ in range(2):
         flight = forward.fly()
-        assert flight.profile.to_bytes() == golden().profile.to_bytes()
+        assert plain(asdict(flight.profile)) == plain(asdict(golden().profile))
         assert content(flight.log) == content(golden().log)
         assert forward.fly(FAULTS[0]).profile is None
 
@@ -154,6 +153,7 @@ def test_a_detector_of_which_no_copy_can_be_made_flies_the_long_way():
 @pytest.mark.parametrize(
     "recovery", [RecoveryPolicy("observer"), RecoveryPolicy(same_twice="limit")], ids=["observer", "limit"]
 )
+@pytest.mark.long
 def test_other_recovery_without_restarts_is_fast_forwarded_too(recovery):
     forward = FastForward(mission())
     for make in (Nervous, ARMS["published"]["gaussian"]):
@@ -185,7 +185,8 @@ def under_an_estimator(arm, faults=(None, *ESTIMATED)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", [pytest.param("", marks=pytest.mark.long), "nervous"])
+@pytest.mark.long
+@pytest.mark.parametrize("arm", ["", "nervous"])
 def test_the_estimated_state_is_fast_forwarded_too(arm):
     forward, other = under_an_estimator(arm)
     assert other == []
@@ -231,7 +232,7 @@ STRUCK = [None, *(FAULTS[number] for number in (0, 3, 8, 9, 13, 20, 16, 17))]
 
 
 @pytest.mark.parametrize(
-    "name", [name if name == "recommended" else pytest.param(name, marks=pytest.mark.slow) for name in TAKING_PART]
+    "name", ["recommended", "restarts", *at_night("checksum", "oracle", "silent", "duplicate", "hold")]
 )
 def test_detectors_that_take_part_are_fast_forwarded_too(name):
     forward = FastForward(mission())
@@ -257,8 +258,7 @@ def table1(autopilot):
     ("environment", "autopilot"),
     [
         ("dense", "published"),
-        pytest.param("factory", "hardened", marks=pytest.mark.long),
-        *(pytest.param(name, "published", marks=pytest.mark.long) for name in ("factory", "farm", "sparse")),
+        *at_night(("factory", "hardened"), *((name, "published") for name in ("factory", "farm", "sparse"))),
     ],
 )
 def test_a_mission_of_the_table_leaves_the_same_records(environment, autopilot):

@@ -27,8 +27,8 @@ def outputs():
     """Outputs of the cells by name, of a kernel that shows figures of pyplot as files would have them."""
     cells = [nbformat.v4.new_code_cell(source, id=name) for name, source in CELLS.items()]
     cells[list(CELLS).index("error")].metadata["tags"] = ["raises-exception"]
-    book = execute(nbformat.v4.new_notebook(cells=cells))
-    return {cell.id: cell.outputs for cell in book.cells}
+    executed = execute(nbformat.v4.new_notebook(cells=cells))
+    return {cell.id: cell.outputs for cell in executed.cells}
 
 
 def test_a_flight_shows_itself_in_a_frame_of_its_own(outputs):
@@ -68,7 +68,7 @@ def is_wanted(output):
     return "image/png" in output["data"] or "Figure size" not in output["data"]["text/plain"]
 
 
-def said(cells):
+def answers_of(cells):
     """Sources of the cells, and what each answers as text."""
     return [
         (cell["cell_type"], cell["source"], [output["data"]["text/plain"] for output in cell.get("outputs", ())])
@@ -92,5 +92,5 @@ def test_the_stored_notebook_has_the_code_of_the_page_and_shows_pictures():
 def test_the_notebook_is_the_page_with_what_its_blocks_answer():
     stored = nbformat.read(NOTEBOOK, as_version=4).cells
     executed = execute(notebook(PAGE.read_text(encoding="utf-8"))).cells
-    assert said(executed) == said(stored), "run `make docs`"
+    assert answers_of(executed) == answers_of(stored), "run `make docs`"
     assert all(is_wanted(output) for cell in executed for output in cell.get("outputs", ()))

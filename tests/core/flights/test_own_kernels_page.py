@@ -36,6 +36,7 @@ def test_every_block_of_code_is_from_the_example():
 
 
 @pytest.mark.parametrize("command", FLIGHTS[1:2] + FLIGHTS[-1:])
+@pytest.mark.long
 def test_the_flights_of_the_page_succeed(folder, capsys, command):
     assert run([*shlex.split(command)[1:], "--json"]) == 0
     data = json.loads(capsys.readouterr().out)

@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from tests.night import at_night
 from tests.pages import DOCS, follow, importing_from
 
 PAGES = ("tutorials/own-kernels.md", "tutorials/own-detector.md")
@@ -29,7 +30,7 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [PAGES[1], *at_night(PAGES[0])])
 def test_a_tutorial_can_be_followed(page, folder, capsys):
     follow(page, folder, capsys, FEWER)
 

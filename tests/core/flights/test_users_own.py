@@ -17,8 +17,8 @@ def test_the_example_of_a_map_flies_the_mission(autopilot, monkeypatch):
     flight = fly(mission(autopilot, map=MAP))
     assert flight.log.status is MissionStatus.SUCCESS
     assert flight.log.digest() == fly(mission(autopilot, map=MAP)).log.digest()
-    known, all_known = ((f.pipeline["octomap"].map.log_odds != 0).sum() for f in (flight, golden(autopilot)))
-    assert known < 0.9 * all_known
+    cells, all_known = ((f.pipeline["octomap"].map.log_odds != 0).sum() for f in (flight, golden(autopilot)))
+    assert cells < 0.9 * all_known
 
 
 def test_a_map_that_forgets_nothing_yet_flies_as_the_dense_one():

@@ -34,9 +34,9 @@ def why_not():
 def loaded():
     """Path and base address of MuJoCo's library in this process."""
     for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
-        found = re.match(r"(\w+)-\w+ \S+ 0+ \S+ \d+ +(\S*libmujoco\.so\S*)$", line)
-        if found:
-            return found[2], int(found[1], 16)
+        match = re.match(r"(\w+)-\w+ \S+ 0+ \S+ \d+ +(\S*libmujoco\.so\S*)$", line)
+        if match:
+            return match[2], int(match[1], 16)
     return None
 
 

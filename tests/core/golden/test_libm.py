@@ -9,6 +9,7 @@ from mavfi.sim import engine
 from mavfi.sim.scene import STEP_US
 from tests.core.golden import libm
 from tests.core.unit.sim.flights import fly, open_world, simulator
+from tests.night import at_night
 
 _REASON = libm.why_not()
 pytestmark = pytest.mark.skipif(bool(_REASON), reason=_REASON)
@@ -73,7 +74,7 @@ def test_a_step_calls_sine_and_cosine_once_and_nothing_else():
     assert calls == {"sin": steps, "cos": steps}
 
 
-@pytest.mark.parametrize("name", inexact())
+@pytest.mark.parametrize("name", [*inexact()[:2], *at_night(*inexact()[2:])])
 def test_a_unit_in_the_last_place_changes_no_flight_with_contacts(name):
     before = against_a_box()
     with libm.changed({name}):

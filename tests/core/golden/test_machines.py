@@ -110,6 +110,7 @@ def here(tmp_path_factory):
     return ends_and_digests({}, tmp_path_factory.mktemp("here"))
 
 
+@pytest.mark.long
 def test_a_small_part_has_the_same_bits_with_older_libraries_elsewhere(tmp_path):
     """The night flies all of it, see below."""
     here = ends_and_digests({}, tmp_path / "here", size="small")

@@ -108,23 +108,6 @@ def test_curves_stay_out_of_what_is_blocked(vertices, seed, speed):
     )
 
 
-def test_a_wall_in_the_corner_makes_the_curve_follow_the_path():
-    """What would cut the corner is split until it does not."""
-    grid = ClearanceMap(config()).grid
-    path = np.array([[2.0, 2.0, 2.0], [12.0, 2.0, 2.0], [12.0, 8.0, 2.0]])
-    free = np.zeros(grid.size, np.int16)
-    count = time_allocation.fit(free, free, grid, path, 3, np.zeros(3), np.zeros(3), CURVE_LIMITS, WORK)
-    walls = free.reshape(grid.nx, grid.ny, grid.nz).copy()
-    centres = [grid.x0 + 0.5 * (np.arange(grid.nx) + 0.5), grid.y0 + 0.5 * (np.arange(grid.ny) + 0.5)]
-    inner = (centres[0][:, None] < 11.8) & (centres[1][None, :] > 2.2)
-    walls[inner] = 1
-    walls = walls.reshape(-1)
-    time = WORK.times[: count - 1].sum()
-    again = time_allocation.fit(walls, free, grid, path, 3, np.zeros(3), np.zeros(3), CURVE_LIMITS, WORK)
-    assert again > count > 0
-    assert WORK.times[: again - 1].sum() > time
-
-
 def test_blends_are_flown_where_no_polynomial_is_found():
     vertices = np.array([[2.0, 2.0, 2.0], [12.0, 2.0, 2.0]])
     points, generator = generated(vertices, "published", entry=5000.0)

@@ -56,17 +56,6 @@ def test_trajectories_keep_to_the_limits_of_speed_and_acceleration(vertices):
     assert mean_acceleration(points) <= A_TOLERANCE_SHARP * rules.a_max
 
 
-@given(paths)
-def test_held_points_are_reached_at_the_speed_limit_at_most(vertices):
-    assume((np.linalg.norm(np.diff(vertices, axis=0), axis=1) > 0.5).all())
-    points, rules = points_of(vertices, "published")
-    assert np.isfinite(points).all() and ((points[:, 10] > 0.0) & (points[:, 10] <= 0.5)).all()
-    assert np.linalg.norm(points[:, 4:7], axis=1).max() <= 0.97 * V_TOLERANCE * rules.v_max
-    before = np.vstack([vertices[:1], points[:-1, :3]])
-    speeds = np.linalg.norm(points[:, :3] - before, axis=1) / points[:, 10]
-    assert speeds.max() <= 0.97 * V_TOLERANCE * rules.v_max
-
-
 @given(paths, st.integers(0, 1000), st.sampled_from([0.2, 1.0 / 3.0]))
 def test_blends_stay_out_of_what_is_blocked(vertices, seed, inner):
     assume((np.linalg.norm(np.diff(vertices, axis=0), axis=1) > 0.5).all())

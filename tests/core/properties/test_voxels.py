@@ -25,31 +25,6 @@ def test_a_voxel_is_inside_of_the_grid_or_minus_one(x, y, z):
     assert usable(x, y, z) == all(abs(value) < COORDINATE_LIMIT for value in (x, y, z))
 
 
-@given(maps, points, points, st.booleans())
-def test_the_walk_misses_no_block_and_finds_no_block_that_is_not_there(counter, a, b, outside):
-    share = first_blocked(counter, GRID, a, b, outside)
-    stretches = naive.intervals(GRID, a, b)
-
-    def blocks(cell):
-        return outside if cell is None else counter[naive.flat(GRID, cell)] > 0
-
-    certain = [start for start, length, cell in stretches if blocks(cell) and length > 1e-9]
-    if certain:  # touching an edge or a corner may count as entering: never later than the first real stretch
-        assert share <= certain[0] + 1e-9
-    assert share == FREE or -1e-9 <= share <= 1.0 + 1e-9
-    if share < FREE and not certain:
-        middle = a + (b - a) * min(max(share, 0.0), 1.0)
-        low, high = ((middle - (GRID.x0, GRID.y0, GRID.z0) + d) * GRID.inverse for d in (-1e-6, 1e-6))
-        around = {
-            (x, y, z)
-            for x in {int(np.floor(low[0])), int(np.floor(high[0]))}
-            for y in {int(np.floor(low[1])), int(np.floor(high[1]))}
-            for z in {int(np.floor(low[2])), int(np.floor(high[2]))}
-        }
-        inside = [c for c in around if all(0 <= i < n for i, n in zip(c, (GRID.nx, GRID.ny, GRID.nz), strict=True))]
-        assert (outside and len(inside) < len(around)) or any(blocks(cell) for cell in inside)
-
-
 @given(maps, st.integers(0, 2**32))
 def test_a_free_way_is_free_in_both_directions(counter, seed):
     # uniform draws touch no edge or corner, where the two directions may differ

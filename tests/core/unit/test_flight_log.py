@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionStatus
-from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection, Profile
+from mavfi.record import COLUMNS, AlarmRecord, Event, FlightLog, Injection
 
 
 def log(**changes):
@@ -95,14 +95,3 @@ def test_absent_files_and_folders_are_named(tmp_path):
         FlightLog.load(tmp_path / "gone.npz")
     with pytest.raises(BadInputError, match="cannot be written"):
         log().save(tmp_path / "no" / "such" / "folder.npz")
-
-
-def test_a_profile_survives_its_bytes():
-    profile = Profile(
-        {"a.b": np.array([1, 5, 9], np.int64), "c": np.zeros(0, np.int64)},
-        {"a.b": np.array([0, 2, 3], np.int32), "c": np.zeros(0, np.int32)},
-    )
-    again = Profile.from_bytes(profile.to_bytes())
-    for name in ("a.b", "c"):
-        np.testing.assert_array_equal(again.times_us[name], profile.times_us[name])
-        np.testing.assert_array_equal(again.counts[name], profile.counts[name])

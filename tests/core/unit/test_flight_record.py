@@ -98,21 +98,22 @@ def test_what_is_kept_of_a_flight():
 
 def test_the_first_alarms_are_kept_and_all_in_the_aftermath_of_an_injection():
     record = record_of(flight(injections=[INJECTION], alarms=alarms(90)))
-    kept = [round(alarm.time_s, 6) for alarm in record.alarms]
+    alarm_times = [round(alarm.time_s, 6) for alarm in record.alarms]
     first = [0.1 * k for k in range(MOST_ALARMS)]
-    assert kept == pytest.approx([*first, *(4 + 0.1 * k for k in range(11))])
+    assert alarm_times == pytest.approx([*first, *(4 + 0.1 * k for k in range(11))])
     assert record.alarms_total == 90
     assert record.alarm_counts == {"gaussian/recompute/repaired": 90}
     json.dumps(record.to_json(), allow_nan=False)
 
 
 @pytest.mark.parametrize(
-    ("offset", "kept"), [(-2 * INSTANT, False), (-0.5 * INSTANT, True), (AFTERMATH, True), (AFTERMATH + 1e-3, False)]
+    ("offset", "is_stored"),
+    [(-2 * INSTANT, False), (-0.5 * INSTANT, True), (AFTERMATH, True), (AFTERMATH + 1e-3, False)],
 )
-def test_the_aftermath_starts_with_the_injection_and_has_an_end(offset, kept):
+def test_the_aftermath_starts_with_the_injection_and_has_an_end(offset, is_stored):
     early = [replace(ALARM, time_s=0.0)] * MOST_ALARMS
     record = record_of(flight(injections=[INJECTION], alarms=[*early, replace(ALARM, time_s=4.0 + offset)]))
-    assert len(record.alarms) == MOST_ALARMS + kept
+    assert len(record.alarms) == MOST_ALARMS + is_stored
 
 
 def test_an_injection_that_was_not_activated_has_no_aftermath():

@@ -86,5 +86,5 @@ def test_an_older_name_of_a_key_is_read_only_from_what_mavfi_stored():
 def test_a_mission_changes_rules_of_its_profile():
     plain = resolve(MissionSpec(autopilot="hardened"))
     assert resolve(MissionSpec(autopilot="hardened", alarm="one_shot", epoch_liveness=3.0)) == plain
-    own = resolve(MissionSpec(autopilot="hardened", alarm="repeated", epoch_liveness=0.0)).autopilot
-    assert own == plain.autopilot.model_copy(update={"alarm": "repeated", "epoch_liveness": 0.0})
+    profile = resolve(MissionSpec(autopilot="hardened", alarm="repeated", epoch_liveness=0.0)).autopilot
+    assert profile == plain.autopilot.model_copy(update={"alarm": "repeated", "epoch_liveness": 0.0})

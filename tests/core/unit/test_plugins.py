@@ -9,6 +9,7 @@ from mavfi import cli
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.errors import BadInputError
 from mavfi.plugins import (
+    _RememberedNames,
     allow_plugins,
     allow_typed,
     allowed_names,
@@ -75,8 +76,8 @@ def test_a_method_with_other_parameters_is_refused_before_its_first_call():
     needs = {"check": "state, time_us"}
     for fine in (lambda state, now: None, lambda *values: None, lambda state, now, more=1: None, max):
         assert build("thing", "x", made(fine), needs=needs)
-    for wrong, own in ((lambda state: None, r"\(state\)"), (lambda a, b, c: None, r"\(a, b, c\)")):
-        with pytest.raises(BadInputError, match=rf"^thing 'x': check{own}: allowed: check\(state, time_us\)$"):
+    for wrong, signature in ((lambda state: None, r"\(state\)"), (lambda a, b, c: None, r"\(a, b, c\)")):
+        with pytest.raises(BadInputError, match=rf"^thing 'x': check{signature}: allowed: check\(state, time_us\)$"):
             build("thing", "x", made(wrong), needs=needs)
 
 
@@ -116,8 +117,7 @@ def test_code_that_was_allowed_in_a_ledger_is_remembered_until_it_changes(tmp_pa
     def is_allowed(ledger, typed=""):
         """What a new process allows after it has opened the ledger."""
         monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", typed)
-        monkeypatch.setattr("mavfi.plugins._allowed_by_trust", set())
-        monkeypatch.setattr("mavfi.plugins._changed", set())
+        monkeypatch.setattr("mavfi.plugins._remembered_names", _RememberedNames())
         use_ledger(ledger, content)
         return "my_plugin:X" in allowed_names()
 
@@ -191,17 +191,6 @@ def _failure(call, *arguments):
     with pytest.raises(Exception) as caught:  # noqa: PT011 - any
         call(*arguments)
     return plugin_failure(caught.value)
-
-
-def test_an_exception_of_a_plugin_is_one_line_with_its_place(tmp_path, monkeypatch):
-    (tmp_path / "two_plugins.py").write_text(_BOTH, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    allow_plugins()
-    one, other = load("two_plugins:One")(), load("two_plugins:Other")()
-    assert _failure(one.check, 5).startswith("two_plugins:One: TypeError: the JSON object")
-    assert _failure(one.check, 5).endswith("(two_plugins.py:11, deeper)"), "frames of libraries are their caller's"
-    assert _failure(other.deeper, "}").startswith("two_plugins:Other: JSONDecodeError: Expecting value: line 1")
 
 
 def test_an_exception_of_mavfi_is_none_of_a_plugin(tmp_path, monkeypatch):

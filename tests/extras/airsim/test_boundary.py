@@ -9,9 +9,9 @@ from mavfi.extras.airsim.boundary import ApiRecording, Boundary, parse_fault
 VELOCITY = [1.0, 2.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""]
 
 
-def call(boundary, name, given, result, now_us=0):
-    given = boundary.arguments(name, given, now_us)
-    return given, boundary.returned(name, given, result, now_us)
+def call(boundary, name, arguments, result, now_us=0):
+    arguments = boundary.arguments(name, arguments, now_us)
+    return arguments, boundary.returned(name, arguments, result, now_us)
 
 
 def test_an_argument_is_changed_once_from_its_instant_on():
@@ -20,12 +20,18 @@ def test_an_argument_is_changed_once_from_its_instant_on():
     assert call(boundary, "hover", [""], True, 3_000_000)[0] == [""]
     assert call(boundary, "moveByVelocity", list(VELOCITY), True, 3_000_000)[0][:3] == [1.0, -2.0, 0.0]
     assert call(boundary, "moveByVelocity", list(VELOCITY), True, 4_000_000)[0] == VELOCITY
-    found = boundary.injection
-    assert (found.time_s, found.bit, found.before, found.after, found.activated) == (3.0, 63, 2.0, -2.0, True)
+    injection = boundary.injection
+    assert (injection.time_s, injection.bit, injection.before, injection.after, injection.activated) == (
+        3.0,
+        63,
+        2.0,
+        -2.0,
+        True,
+    )
 
 
 @pytest.mark.parametrize(
-    ("text", "name", "given", "after"),
+    ("text", "name", "arguments", "after"),
     [
         ("moveByVelocity.vx:bit=62", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 0.0),
         ("moveByVelocity.drivetrain:bit=1", "moveByVelocity", [2, 0, 0, 1, 0, {}, ""], 2),
@@ -34,9 +40,9 @@ def test_an_argument_is_changed_once_from_its_instant_on():
         ("simPlotPoints.arguments#0:bit=1", "simPlotPoints", [1], 3),
     ],
 )
-def test_a_number_has_the_type_of_airsim_s_signature_however_the_program_writes_it(text, name, given, after):
+def test_a_number_has_the_type_of_airsim_s_signature_however_the_program_writes_it(text, name, arguments, after):
     boundary = Boundary(parse_fault(text))
-    boundary.arguments(name, given, 0)
+    boundary.arguments(name, arguments, 0)
     assert boundary.injection.after == after and type(boundary.injection.after) is type(after)
 
 
@@ -115,12 +121,12 @@ def test_the_seed_draws_the_bit_that_is_not_named():
 def test_a_detector_learns_normal_calls_and_names_the_number_that_is_not():
     recording, random = ApiRecording(), np.random.default_rng(1)
     calls = [[float(x), float(y), 0.0, 1.0] for x, y in random.normal(2.0, 0.1, (200, 2))]
-    for given in calls:
-        call(Boundary(recording=recording), "moveByVelocity", list(given), True)
+    for arguments in calls:
+        call(Boundary(recording=recording), "moveByVelocity", list(arguments), True)
     watch = recording.train("gaussian", "paper")
     boundary = Boundary(parse_fault("moveByVelocity.vx:bit=61#20"), watch=watch)
-    for number, given in enumerate(calls[:60]):
-        call(boundary, "moveByVelocity", list(given), True, 20_000 * number)
+    for number, arguments in enumerate(calls[:60]):
+        call(boundary, "moveByVelocity", list(arguments), True, 20_000 * number)
     assert {alarm.state for alarm in watch.alarms} == {"moveByVelocity(arguments)"} and len(watch.alarms) < 4
     assert watch.alarms[0].time_s == pytest.approx(0.38) and "vx" in watch.alarms[0].fields[0]
 

@@ -36,14 +36,16 @@ class Client:
         self.vehicle = self.server.api.vehicle
         self.answers = {}
 
-    def post(self, name, *given):
+    def post(self, name, *arguments):
         number = len(self.answers)
         self.answers[number] = None
-        self.server.serve_call(name, list(given), lambda error, result: self.answers.update({number: (error, result)}))
+        self.server.serve_call(
+            name, list(arguments), lambda error, result: self.answers.update({number: (error, result)})
+        )
         return number
 
-    def __call__(self, name, *given):
-        number = self.post(name, *given)
+    def __call__(self, name, *arguments):
+        number = self.post(name, *arguments)
         while self.answers[number] is None:  # until its task ends, not that of another vehicle
             self("mavfiPass", None, True, "")
         error, result = self.answers[number]
@@ -130,7 +132,7 @@ def test_take_off_land_and_what_the_state_says():
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "wanted"),
+    ("name", "arguments", "wanted"),
     [
         ("moveToPosition", (3.0, 2.0, -4.0, 2.0, 60.0, 0, STILL, -1.0, 1.0, ""), (3.0, 2.0, -4.0)),
         ("moveToZ", (-5.0, 2.0, 60.0, STILL, -1.0, 1.0, ""), (None, None, -5.0)),
@@ -142,8 +144,8 @@ def test_take_off_land_and_what_the_state_says():
         ),
     ],
 )
-def test_a_place_is_reached_within_half_a_metre(flying, name, given, wanted):
-    assert flying(name, *given) is True
+def test_a_place_is_reached_within_half_a_metre(flying, name, arguments, wanted):
+    assert flying(name, *arguments) is True
     off = [abs(is_at - should) for is_at, should in zip(flying.at, wanted, strict=True) if should is not None]
     assert max(off) <= 0.5
 
@@ -161,7 +163,7 @@ def test_velocities_in_both_frames_and_yaw(flying):
 
 
 @pytest.mark.parametrize(
-    ("name", "given"),
+    ("name", "arguments"),
     [
         ("moveByRollPitchYawZ", (0.0, 0.0, 0.0, -5.0, 3.0, "")),
         ("moveByRollPitchYawThrottle", (0.0, 0.0, 0.0, 0.5866, 1.0, "")),
@@ -170,9 +172,9 @@ def test_velocities_in_both_frames_and_yaw(flying):
         ("moveByMotorPWMs", (0.5866, 0.5866, 0.5866, 0.5866, 0.5, "")),
     ],
 )
-def test_commands_below_the_velocity_loop_fly(flying, name, given):
+def test_commands_below_the_velocity_loop_fly(flying, name, arguments):
     flying("moveToZ", -5.0, 2.0, 60.0, STILL, -1.0, 1.0, "")
-    assert flying(name, *given) and flying.at[2] == pytest.approx(-5.0, abs=0.8)
+    assert flying(name, *arguments) and flying.at[2] == pytest.approx(-5.0, abs=0.8)
     flying("hover", "")
 
 
@@ -221,9 +223,9 @@ def test_depth_is_that_of_the_mission_s_camera_bit_for_bit():
     ranges, _ = Simulator(world, scenario).depth()
     request = {"camera_name": "0", "image_type": 2, "pixels_as_float": True, "compress": False}
     (image,) = client("simGetImages", [request], "", False)
-    found = np.array(image["image_data_float"], np.float32)
-    found[found >= scenario.camera.range] = np.inf
-    assert (image["width"], image["height"]) == (64, 48) and found.tobytes() == ranges.tobytes()
+    ranges_of_image = np.array(image["image_data_float"], np.float32)
+    ranges_of_image[ranges_of_image >= scenario.camera.range] = np.inf
+    assert (image["width"], image["height"]) == (64, 48) and ranges_of_image.tobytes() == ranges.tobytes()
     (planar,) = client("simGetImages", [{**request, "image_type": 1}], "", False)
     assert (np.array(planar["image_data_float"]) <= np.array(image["image_data_float"]) + 1e-6).all()
 
@@ -271,7 +273,7 @@ def test_objects_are_listed_moved_spawned_and_met():
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "text"),
+    ("name", "arguments", "text"),
     [
         ("simFly", (), "could not find function 'simFly'"),
         ("moveByVelocity", (1.0,), "moveByVelocity: 1 arguments; allowed: vx, vy, vz"),
@@ -281,9 +283,9 @@ def test_objects_are_listed_moved_spawned_and_met():
         ("moveToPosition", (math.nan, 0.0, 0.0, 1.0, 9.0, 0, STILL, -1, 1, ""), "allowed: finite points"),
     ],
 )
-def test_what_cannot_be_is_answered_with_an_error_that_names_it(flying, name, given, text):
+def test_what_cannot_be_is_answered_with_an_error_that_names_it(flying, name, arguments, text):
     with pytest.raises(RuntimeError, match=text):
-        flying(name, *given)
+        flying(name, *arguments)
 
 
 CALLS_OF_A_METHOD = {

@@ -20,7 +20,7 @@ def fov(client):
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "allowed"),
+    ("name", "arguments", "allowed"),
     [
         ("simSetFocalLength", (0.0,), "above 0"),
         ("simSetFocalLength", (math.nan,), "above 0"),
@@ -31,9 +31,9 @@ def fov(client):
         ("simSetPresetFilmbackSettings", ("IMAX",), "16:9 Digital Film"),
     ],
 )
-def test_what_no_pinhole_can_be_is_refused(client, name, given, allowed):
+def test_what_no_pinhole_can_be_is_refused(client, name, arguments, allowed):
     with pytest.raises(RuntimeError, match=allowed):
-        client(name, *given, CAMERA)
+        client(name, *arguments, CAMERA)
     assert fov(client) == 90.0
 
 
@@ -46,14 +46,14 @@ def seeing(client):
     return client
 
 
-def found(client):
+def detections(client):
     return client("simGetDetections", CAMERA, SEGMENTATION)
 
 
 def test_an_object_with_a_wanted_name_is_detected(seeing):
-    assert found(seeing) == [], "nothing is wanted yet"
+    assert detections(seeing) == [], "nothing is wanted yet"
     seeing("simAddDetectionFilterMeshName", CAMERA, SEGMENTATION, "cube*")
-    (cube,) = found(seeing)
+    (cube,) = detections(seeing)
     assert cube["name"] == "cube_a"
     near, far = cube["box3D"]["min"], cube["box3D"]["max"]
     assert [near["x_val"], far["x_val"]] == pytest.approx([9.0, 11.0], abs=1e-6)

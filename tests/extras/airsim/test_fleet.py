@@ -83,12 +83,12 @@ def test_a_vehicle_is_added_while_others_fly(two):
     assert two("takeoff", 20.0, "New") is True and place_of(two, "New")[2] < -1.4
     old, new = (two("getMultirotorState", name)["timestamp"] for name in ("Left", "New"))
     assert new - old == 4_000_000, "there is one time, of which a call takes 4 ms"
-    for given, text in (
+    for arguments, text in (
         (("New", "SimpleFlight", to_pose((8.0, 8.0, 0.0), LEVEL)), "allowed: a name that no vehicle has"),
         (("Car", "PhysXCar", to_pose((8.0, 8.0, 0.0), LEVEL)), "'PhysXCar': allowed: SimpleFlight"),
     ):
         with pytest.raises(RuntimeError, match=text):
-            two("simAddVehicle", *given)
+            two("simAddVehicle", *arguments)
     two("reset")
     assert place_of(two, "New", "simGetObjectPose") == [0.0, 3.0, 0.0]
 

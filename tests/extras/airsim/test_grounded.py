@@ -15,37 +15,37 @@ def grounded(lower=(), upper=(), **changes):
     return Grounded(open_world(10.0, lower, upper), scenario(**changes))
 
 
-def fly(one, velocity, seconds):
-    one.command(np.array([*velocity, 0.0]), seconds)
-    one.advance(one.time_us + round(1e6 * seconds))
+def fly(vehicle, velocity, seconds):
+    vehicle.command(np.array([*velocity, 0.0]), seconds)
+    vehicle.advance(vehicle.time_us + round(1e6 * seconds))
 
 
 def test_it_stands_still_until_its_motors_run():
-    one = grounded()
-    before = one.odometry.copy()
-    one.advance(1_000_000)
-    assert one.odometry.tobytes() == before.tobytes() and one.resting and not one.armed
-    np.testing.assert_allclose(one.odometry[:3], (0.0, 0.0, 0.35))
-    np.testing.assert_allclose(one.imu()[:3], (0.0, 0.0, GRAVITY), atol=0.2)
-    one.arm(True)
-    one.advance(1_200_000)
-    assert one.odometry.tobytes() == before.tobytes() and one.resting  # idle
-    fly(one, (0.0, 0.0, 1.0), 3.0)
+    vehicle = grounded()
+    before = vehicle.odometry.copy()
+    vehicle.advance(1_000_000)
+    assert vehicle.odometry.tobytes() == before.tobytes() and vehicle.resting and not vehicle.armed
+    np.testing.assert_allclose(vehicle.odometry[:3], (0.0, 0.0, 0.35))
+    np.testing.assert_allclose(vehicle.imu()[:3], (0.0, 0.0, GRAVITY), atol=0.2)
+    vehicle.arm(True)
+    vehicle.advance(1_200_000)
+    assert vehicle.odometry.tobytes() == before.tobytes() and vehicle.resting  # idle
+    fly(vehicle, (0.0, 0.0, 1.0), 3.0)
     assert (
-        not one.resting and one.height > 2.0 and one.landed_at.time_us < 1_300_000
+        not vehicle.resting and vehicle.height > 2.0 and vehicle.landed_at.time_us < 1_300_000
     )  # the last contact was that of the lift-off
 
 
 def test_a_landing_is_no_collision_and_ends_at_rest():
-    one = grounded()
-    one.arm(True)
-    fly(one, (0.0, 0.0, 1.0), 3.0)
-    fly(one, (0.5, 0.0, -0.5), 8.0)
-    assert one.touched is None and one.landed_at is not None and one.landed_at.obstacle == GROUND
-    np.testing.assert_allclose(one.landed_at.normal, (0.0, 0.0, 1.0), atol=1e-9)
-    one.arm(False)
-    one.advance(one.time_us + 200_000)
-    assert one.resting and not one.odometry[3:6].any() and one.odometry[2] == 0.35
+    vehicle = grounded()
+    vehicle.arm(True)
+    fly(vehicle, (0.0, 0.0, 1.0), 3.0)
+    fly(vehicle, (0.5, 0.0, -0.5), 8.0)
+    assert vehicle.touched is None and vehicle.landed_at is not None and vehicle.landed_at.obstacle == GROUND
+    np.testing.assert_allclose(vehicle.landed_at.normal, (0.0, 0.0, 1.0), atol=1e-9)
+    vehicle.arm(False)
+    vehicle.advance(vehicle.time_us + 200_000)
+    assert vehicle.resting and not vehicle.odometry[3:6].any() and vehicle.odometry[2] == 0.35
 
 
 def test_in_the_air_it_is_the_vehicle_of_missions():

@@ -36,8 +36,8 @@ def test_a_flip_changes_one_bit_and_is_its_own_inverse(value, bit):
 
 def test_a_flip_goes_where_its_path_leads():
     data = [1.0, {"x": [2.0, True], "image": b"\x01\x02"}]
-    found, before, after, bit = values.flip(data, (1, "x", 0), 63)
-    assert (found, before, after, bit) == (data, 2.0, -2.0, 63) and data[1]["x"][0] == -2.0
+    flipped, before, after, bit = values.flip(data, (1, "x", 0), 63)
+    assert (flipped, before, after, bit) == (data, 2.0, -2.0, 63) and data[1]["x"][0] == -2.0
     assert values.flip(data, (1, "x", 1), 40)[1:] == (True, False, 0)
     assert values.flip(data, (1, "image", 1), 9)[1:] == (2, 0, 1) and data[1]["image"] == b"\x01\x00"
     assert math.isinf(values.flip(1.0, (), 62)[0])

@@ -26,6 +26,7 @@ from mavfi.faults.strata import STRATA
 from mavfi.states import STATES
 from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import DETECTOR, small
+from tests.night import at_night
 
 BENCH = load_bench("mavfi-bench-1")
 SLOW = BENCH.model_copy(
@@ -34,6 +35,7 @@ SLOW = BENCH.model_copy(
 """A bench on a computer that no detector was trained for."""
 
 
+@pytest.mark.long
 def test_every_part_of_a_shipped_bench_can_be_flown():
     for name in names("bench"):
         for part, entry in select_parts(load_bench(name), "paper").items():
@@ -43,25 +45,28 @@ def test_every_part_of_a_shipped_bench_can_be_flown():
 
 
 def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason():
-    found = select_parts(SLOW, "quick")["slow"]
-    assert "no model is trained" in found.left_out["gaussian"]
-    assert "gaussian" not in found.campaign.arms and "recommended" in found.campaign.arms
+    selected = select_parts(SLOW, "quick")["slow"]
+    assert "no model is trained" in selected.left_out["gaussian"]
+    assert "gaussian" not in selected.campaign.arms and "recommended" in selected.campaign.arms
 
 
-@pytest.mark.parametrize("part", ["cortex-a57", "rrt", "rrt-star", "other-profile"])
+@pytest.mark.parametrize("part", ["other-profile", *at_night("cortex-a57", "rrt", "rrt-star")])
 def test_parts_that_detectors_were_not_trained_for_are_flown_with_the_models_there_are(part):
-    found = select_parts(BENCH, "quick", parts=[part])[part]
-    used = resolve(found.campaign).with_models().models
+    selected = select_parts(BENCH, "quick", parts=[part])[part]
+    used = resolve(selected.campaign).with_models().models
     trained = select_parts(BENCH, "quick", parts=["sites"])["sites"].campaign
     assert used == resolve(trained).with_models().models
     assert {"gaussian", "limits", "recommended"} <= set(used)
 
 
+@pytest.mark.long
 def test_parts_by_level_and_by_name():
     for level in ("instruction", "memory", "sensor", "message"):
-        found = select_parts(BENCH, "quick", levels=[level])
-        assert next(iter(found)) == level and all(level_of(one.campaign) == level for one in found.values())
-        assert not any(name in found for name in ("state", "sites", "golden"))
+        selected = select_parts(BENCH, "quick", levels=[level])
+        assert next(iter(selected)) == level and all(
+            level_of(part_of_bench.campaign) == level for part_of_bench in selected.values()
+        )
+        assert not any(name in selected for name in ("state", "sites", "golden"))
     assert list(select_parts(BENCH, "quick", parts=["sites"])) == ["sites"]
 
 
@@ -74,9 +79,9 @@ def test_policies_of_dead_nodes_are_flown_where_nodes_die():
 
 
 def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
-    found = select_parts(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
-    assert list(found.arms) == ["FakeDetector"]
-    assert found.arms["FakeDetector"].detector == DETECTOR
+    selected = select_parts(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
+    assert list(selected.arms) == ["FakeDetector"]
+    assert selected.arms["FakeDetector"].detector == DETECTOR
 
 
 def test_the_faults_of_a_ledger_are_listed_once_each(tmp_path):
@@ -150,6 +155,6 @@ def test_names_of_no_scheme_are_refused(name, message):
     ],
 )
 def test_a_wrong_file_of_a_bench_is_refused(part, changes, arm, message):
-    parts = {part: {"campaign": "bench_sites", "title": "t", **changes}}
+    bench_parts = {part: {"campaign": "bench_sites", "title": "t", **changes}}
     with pytest.raises(BadInputError, match=message):
-        parse(Bench, {"name": "b", "parts": parts, "arms": {arm: {"detector": "acceptance"}}}, "b.yaml")
+        parse(Bench, {"name": "b", "parts": bench_parts, "arms": {arm: {"detector": "acceptance"}}}, "b.yaml")

@@ -16,12 +16,14 @@ OWN = Table("sites", "Sites", (Column("arm", "scheme"), Column("lost", "lost", N
 
 def test_published_rows_of_a_group_stand_above_ones_own_of_the_same_group():
     columns = (Column("environment", "environment"), Column("setting", "setting"), Column("alarms", "alarms", NUMBER))
-    own = Table("golden", "Golden", columns, [("dense", "mine", 4), ("farm", "mine", 5)], keys=2)
+    flown_rows = Table("golden", "Golden", columns, [("dense", "mine", 4), ("farm", "mine", 5)], keys=2)
     rows = [("dense", "theirs", "1"), ("dense", "mine", "2"), ("farm", "theirs", "3"), ("sparse", "theirs", "6")]
-    found = beside_published(
-        own, [dict(zip(("environment", "setting", "alarms"), row, strict=True)) for row in rows], "published in b"
+    combined = beside_published(
+        flown_rows,
+        [dict(zip(("environment", "setting", "alarms"), row, strict=True)) for row in rows],
+        "published in b",
     )
-    assert found.rows == [
+    assert combined.rows == [
         ("dense", "theirs", "1"),
         ("dense", "mine", 4),
         ("farm", "theirs", "3"),

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.training import fit
-from mavfi.detectors import load_detector
+from mavfi.detectors.registry import load_detector
 from mavfi.detectors.scoring import NOT_FINITE
 from mavfi.extras.bench.field_codes import ALL_FIELDS, CodeRecorder, FieldCodes
 from mavfi.states import AUTOPILOTS, STATES
@@ -72,25 +72,25 @@ def test_a_gross_fault_is_an_alarm_about_its_state(folder, state, count, field, 
 def test_a_number_that_is_not_finite_is_an_alarm_and_leaves_the_rest_as_it_was(folder):
     events = flight(400)
     struck = later(events, "planning.waypoint", 20)
-    found = dict(fly(load(folder), strike(events, struck, "vx", np.nan)))[struck]
-    assert found.score == NOT_FINITE and found.fields[0].startswith("planning.waypoint")
-    assert set(found.fields) <= {f"planning.waypoint.{field}" for field in ("x", "vx")}
+    alarm = dict(fly(load(folder), strike(events, struck, "vx", np.nan)))[struck]
+    assert alarm.score == NOT_FINITE and alarm.fields[0].startswith("planning.waypoint")
+    assert set(alarm.fields) <= {f"planning.waypoint.{field}" for field in ("x", "vx")}
 
 
 def struck_in_many_places():
     events = flight(6)
-    for place, (state, _, field, value) in enumerate(GROSS):
-        events = strike(events, later(events, state, 30 + place), field, value)
+    for index, (state, _, field, value) in enumerate(GROSS):
+        events = strike(events, later(events, state, 30 + index), field, value)
     return events
 
 
 def finish(detector, events):
     """Alarms of the rest of a flight, and the memory at its end."""
-    found = []
+    alarms = []
     for state, time_us in events:
-        found.append(detector.check(state, time_us))
+        alarms.append(detector.check(state, time_us))
         detector.accept(state, time_us)
-    return found, detector.memory()
+    return alarms, detector.memory()
 
 
 def test_a_detector_with_replaced_functions_does_as_the_compiled_one(folder):

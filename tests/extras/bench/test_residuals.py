@@ -38,18 +38,18 @@ def column(flown, state, name):
 
 
 def of(flown, state):
-    return [found for found in flown[3] if found.spec.name == state]
+    return [state_ for state_ in flown[3] if state_.spec.name == state]
 
 
 def before_each(flown, state, kinds):
     """The last publication of one of some states before each one of another."""
-    last, found = None, []
-    for one in flown[3]:
-        if one.spec.name == state:
-            found.append(last)
-        if one.spec.name in kinds:
-            last = one
-    return found
+    last, earlier = None, []
+    for published in flown[3]:
+        if published.spec.name == state:
+            earlier.append(last)
+        if published.spec.name in kinds:
+            last = published
+    return earlier
 
 
 def field(states, name):
@@ -96,12 +96,12 @@ def test_way_points(flown):
 
 
 def test_collision_status(flown):
-    found = of(flown, "perception.collision_status")
-    growth = np.diff(field(found, "future_collision_seq"), prepend=0)
+    statuses = of(flown, "perception.collision_status")
+    growth = np.diff(field(statuses, "future_collision_seq"), prepend=0)
     check(flown, "perception.collision_status", "future_collision_seq", growth, 1.0)
-    check(flown, "perception.collision_status", "collision", field(found, "collision") - (growth > 0), 1.0)
+    check(flown, "perception.collision_status", "collision", field(statuses, "collision") - (growth > 0), 1.0)
     for name in ("time_to_collision", "distance_to_blocked", "distance_to_unknown"):
-        values = octave(field(found, name))
+        values = octave(field(statuses, name))
         index = flown[1].fields.index(f"perception.collision_status.{name}")
         expected = np.diff(values, prepend=values[0]) * (flown[1].quanta[index] > 0)
         check(flown, "perception.collision_status", name, expected, 0.01)

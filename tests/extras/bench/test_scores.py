@@ -28,27 +28,27 @@ def made(draw):
 
 
 @given(made(), st.sampled_from([0.1, 1.0, 10.0]))
-def test_no_threshold_alarms_more_often_than_asked(own, rate):
-    golden, found = own
-    threshold = found.threshold_at(rate)
+def test_no_threshold_alarms_more_often_than_asked(flights, rate):
+    golden, faulty = flights
+    threshold = faulty.threshold_at(rate)
     if threshold is None:
-        assert rate * found.hours < 1
+        assert rate * faulty.hours < 1
         return
-    assert (golden > threshold).sum() <= rate * found.hours
+    assert (golden > threshold).sum() <= rate * faulty.hours
     lower = np.unique(golden[golden < threshold])
     if len(lower):  # the next lower one would alarm too often
-        assert (golden > lower[-1]).sum() > int(rate * found.hours)
+        assert (golden > lower[-1]).sum() > int(rate * faulty.hours)
 
 
 @given(made())
-def test_the_area_is_that_of_scikit_learn(own):
-    golden, found = own
-    harmful = found.corrupted[found.harmful]
+def test_the_area_is_that_of_scikit_learn(flights):
+    golden, faulty = flights
+    harmful = faulty.corrupted[faulty.harmful]
     if not len(harmful):
-        assert found.area() is None
+        assert faulty.area() is None
         return
     labels = [0] * len(golden) + [1] * len(harmful)
-    assert found.area() == pytest.approx(roc_auc_score(labels, [*golden, *harmful]), abs=1e-12)
+    assert faulty.area() == pytest.approx(roc_auc_score(labels, [*golden, *harmful]), abs=1e-12)
 
 
 def test_faults_of_one_mission_are_not_independent():
@@ -62,21 +62,21 @@ def test_faults_of_one_mission_are_not_independent():
 
 
 def test_the_table_says_what_an_exposure_cannot_show():
-    found = Scores(
+    scores = Scores(
         np.array([3.0, 2.0]), 100, 1.5, np.array([2.5, 9.0, 0.0]), np.array([True, True, False]), np.arange(3)
     )
-    (row,) = table({"one": found}, ["a"]).entries()
+    (row,) = table({"one": scores}, ["a"]).entries()
     assert row["harmful"] == 2 and row["at_0.1"] is None
     assert (row["at_1"].successes, row["at_1"].n) == (2, 2)  # threshold 2.0: one alarm in 1.5 h
 
 
 @given(made())
-def test_the_average_precision_is_that_of_scikit_learn(own):
-    golden, found = own
-    harmful = found.corrupted[found.harmful]
+def test_the_average_precision_is_that_of_scikit_learn(flights):
+    golden, faulty = flights
+    harmful = faulty.corrupted[faulty.harmful]
     if not len(harmful):
-        assert found.precision() is None
+        assert faulty.precision() is None
         return
     labels = [0] * len(golden) + [1] * len(harmful)
     expected = average_precision_score(labels, [*golden, *harmful])
-    assert found.precision() == pytest.approx(expected, abs=1e-12)
+    assert faulty.precision() == pytest.approx(expected, abs=1e-12)

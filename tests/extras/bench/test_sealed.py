@@ -14,12 +14,12 @@ BOTH = [lambda: Checksum(large=True), Oracle]
 
 def struck(state, bit):
     """One bit flipped somewhere in header or elements."""
-    found = state.copy()
-    header, elements = found.header.view(np.uint8), found.elements.view(np.uint8) if len(found.elements) else None
-    byte, place = bit // 8 % (len(header) + (0 if elements is None else len(elements))), bit % 8
+    changed = state.copy()
+    header, elements = changed.header.view(np.uint8), changed.elements.view(np.uint8) if len(changed.elements) else None
+    byte, bit_of_byte = bit // 8 % (len(header) + (0 if elements is None else len(elements))), bit % 8
     content, byte = (header, byte) if byte < len(header) else (elements, byte - len(header))
-    content[byte] ^= np.uint8(1 << place)
-    return found
+    content[byte] ^= np.uint8(1 << bit_of_byte)
+    return changed
 
 
 @pytest.mark.parametrize("make", BOTH)
@@ -44,13 +44,13 @@ def test_clouds_and_map_updates_are_sealed_by_choice():
 
 
 def alarms(detector, events):
-    found = []
+    raised = []
     for state, time_us in events:
         score, alarm = detector.score(state, time_us), detector.check(state, time_us)
         assert (alarm is not None) == (score is not None and score > 1.0)
-        found += [(time_us, state.spec.name)] if alarm else []
+        raised += [(time_us, state.spec.name)] if alarm else []
         detector.accept(state, time_us)
-    return found
+    return raised
 
 
 def test_random_alarms_have_their_rate_and_depend_on_the_mission_alone():
@@ -58,12 +58,12 @@ def test_random_alarms_have_their_rate_and_depend_on_the_mission_alone():
     hours = events[-1][1] / 3.6e9
     first, again, other = (RandomAlarms(seed, per_hour=20_000.0) for seed in (5, 5, 6))
     # two of the six small states with alarms are rare here, and three are absent
-    found = alarms(first, events)
+    raised = alarms(first, events)
     expected = hours * 20_000 / 6 * 2
-    assert 0.5 * expected < len(found) < 1.5 * expected
-    assert alarms(again, events) == found != alarms(other, events)
+    assert 0.5 * expected < len(raised) < 1.5 * expected
+    assert alarms(again, events) == raised != alarms(other, events)
     first.start()
-    assert alarms(first, events) == found
+    assert alarms(first, events) == raised
 
 
 def test_figures_that_are_no_rate_and_kernels_that_are_none_are_refused():

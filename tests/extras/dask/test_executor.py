@@ -26,12 +26,12 @@ pytest.importorskip("distributed", reason="needs the extra `cluster`")
 pytestmark = pytest.mark.slow
 
 
-def dask_process(folder, role, *words):
+def dask_process(folder, role, *arguments):
     """A scheduler or a worker on the loopback interface."""
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     here = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0")
     return subprocess.Popen(
-        [sys.executable, "-m", f"distributed.cli.dask_{role}", *words, *here],
+        [sys.executable, "-m", f"distributed.cli.dask_{role}", *arguments, *here],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -120,6 +120,7 @@ def test_workers_with_other_code_are_refused(executor, monkeypatch):
         flat(executor.map(count_to, [1]))
 
 
+@pytest.mark.long
 def test_without_an_address_it_has_a_cluster_here_that_listens_on_the_loopback_interface_only():
     code = """
 import os
@@ -141,7 +142,7 @@ def look_for_sockets(campaign):
 
 
 def _family(pid):
-    return [pid, *(one for child in _children(pid) for one in _family(child))]
+    return [pid, *(member for child in _children(pid) for member in _family(child))]
 
 
 def _sockets(pid):

@@ -66,6 +66,7 @@ def test_a_number_that_is_not_there_is_refused():
         cli.demo(11)
 
 
+@pytest.mark.long
 def test_the_page_shows_a_flight_in_three_dimensions_when_asked(flown, browser, tmp_path):  # noqa: F811 - a fixture
     write_demo_page(tmp_path / "demo.html", [flown])
     browser.open(tmp_path / "demo.html")

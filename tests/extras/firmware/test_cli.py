@@ -15,7 +15,7 @@ def register_fault(text, registers, seed):
 
 
 @pytest.mark.parametrize(
-    ("given", "complaint"),
+    ("options", "complaint"),
     [
         (("octomap@10", None, None), "allowed: firmware@SECONDS"),
         (("firmware@x", None, None), "e.g. firmware@10"),
@@ -25,13 +25,13 @@ def register_fault(text, registers, seed):
         ((None, None, 3), "with --register-fault only"),
     ],
 )
-def test_bad_options_are_refused(given, complaint):
+def test_bad_options_are_refused(options, complaint):
     with pytest.raises(BadInputError, match=complaint):
-        register_fault(*given)
+        register_fault(*options)
 
 
 @pytest.mark.parametrize(
-    ("words", "complaint"),
+    ("arguments", "complaint"),
     [
         (["fly", "--register-fault", "firmware@1", "--fault", "null"], "allowed: without --fault"),
         (
@@ -44,8 +44,8 @@ def test_bad_options_are_refused(given, complaint):
         (["fly", "--register-fault", "firmware@1"], "flight controller cascade: has no registers of its own"),
     ],
 )
-def test_bad_input_is_one_line(words, complaint, capsys):
-    assert run(words) == 2
+def test_bad_input_is_one_line(arguments, complaint, capsys):
+    assert run(arguments) == 2
     error = capsys.readouterr().err
     assert complaint in error
     assert len(error.strip().splitlines()) == 1

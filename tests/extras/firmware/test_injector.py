@@ -27,26 +27,26 @@ def fault(seed, time_us=0, **given):
 
 def fly(programs, planned):
     """Motors of each period, the injection, and how the firmware ended."""
-    found, motors = FirmwareInjector(planned), []
+    injector, motors = FirmwareInjector(planned), []
     with closing(Firmware(*programs, {})) as firmware:
         firmware.wait()
         try:
             for period in range(PERIODS):
                 state = (0.01 * period, *betaflight.AT_REST[1:])
                 packets = betaflight.packets(firmware.now_ns, state, (1500,) * 16)
-                if firmware.run(packets, betaflight.PERIOD_NS, found.stop_at(1000 * period)):
-                    found.inject(firmware, 1000 * period)
+                if firmware.run(packets, betaflight.PERIOD_NS, injector.stop_at(1000 * period)):
+                    injector.inject(firmware, 1000 * period)
                 motors.append(firmware.motors)
         except FirmwareLostError as lost:
-            return motors, found.finish()[0], (lost.effect, lost.detail)
-    return motors, found.finish()[0], None
+            return motors, injector.finish()[0], (lost.effect, lost.detail)
+    return motors, injector.finish()[0], None
 
 
 def test_draws_are_uniform_over_the_instructions_of_a_period():
     lengths = [5, 100, 1, 60]  # instructions after each call
     found = FirmwareInjector(fault(1))
     draws = [found.stop_at(0) for _ in range(60_000)]
-    hits = Counter(call for call, place in draws if call < len(lengths) and place < lengths[call])
+    hits = Counter(call for call, instruction in draws if call < len(lengths) and instruction < lengths[call])
     each = 60_000 / (injector.CALLS * 128)
     for call, length in enumerate(lengths):
         assert abs(hits[call] - each * length) < 5.0 * math.sqrt(each * length) + 1.0

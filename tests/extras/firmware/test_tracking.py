@@ -24,21 +24,21 @@ def moving(velocity=(0.0, 0.0, 0.0), yaw_rate=0.0):
 
 def flown(count, *, setpoint=(0.0, 0.0, 0.0, 0.0), odometry=None, wanted=HOVER, up=UP, tracking=None, first=0):
     """Samples every 4 ms that are all equal."""
-    found = Tracking() if tracking is None else tracking
+    tracking_errors = Tracking() if tracking is None else tracking
     state = moving() if odometry is None else odometry
     for number in range(first, first + count):
-        found.sample(4000 * number, np.array(setpoint), state, wanted, up)
-    return found
+        tracking_errors.sample(4000 * number, np.array(setpoint), state, wanted, up)
+    return tracking_errors
 
 
 def test_errors_are_between_what_is_commanded_and_flown():
     state = moving((1.0, 2.0, 0.0), -0.25)
     tracking = flown(200, setpoint=(3.0, 0.0, 1.0, 0.5), odometry=state, wanted=9.0 * leaning(0.3), up=leaning(-0.1))
-    found = tracking.since(0.0)
-    assert found.tilt == pytest.approx(0.1)
-    assert found.attitude == pytest.approx(0.4)
-    assert found.velocity == pytest.approx(3.0)
-    assert found.yaw_rate == pytest.approx(0.75)
+    tracking_errors = tracking.since(0.0)
+    assert tracking_errors.tilt == pytest.approx(0.1)
+    assert tracking_errors.attitude == pytest.approx(0.4)
+    assert tracking_errors.velocity == pytest.approx(3.0)
+    assert tracking_errors.yaw_rate == pytest.approx(0.75)
 
 
 def test_a_step_of_the_command_is_no_lasting_error():

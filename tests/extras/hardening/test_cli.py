@@ -10,7 +10,7 @@ from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan, load_plan,
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         (("--certify",), "--certify: dropped; fly the campaign that mavfi harden writes beside the plan"),
         (("--faults", "9"), "--faults: dropped; fly the campaign"),
@@ -20,9 +20,9 @@ from mavfi.extras.hardening.plan import FunctionPlan, ProtectionPlan, load_plan,
         ((), "holds no campaign"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
+def test_bad_input_is_one_line_and_exit_code_2(arguments, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert run(["harden", str(tmp_path), *words]) == 2
+    assert run(["harden", str(tmp_path), *arguments]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
 

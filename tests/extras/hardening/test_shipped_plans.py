@@ -18,7 +18,7 @@ from mavfi.states import INJECTABLE, PLANNERS
 from tests.campaigns import run_campaign
 from tests.extras.hardening.plans import calls_of_protected_code
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 def mission(plan, **more):
@@ -35,7 +35,7 @@ def golden():
 def timed(tmp_path_factory):
     """The mission with the time of the plan, but plain code."""
     plan = load_plan("ten_percent")
-    bare = tuple(one.model_copy(update={"kind": "none", "sites": ()}) for one in plan.functions)
+    bare = tuple(function.model_copy(update={"kind": "none", "sites": ()}) for function in plan.functions)
     path = tmp_path_factory.mktemp("plans") / "timed.yaml"
     save_plan(plan.model_copy(update={"functions": bare}), path)
     return mission(path)
@@ -56,17 +56,18 @@ def test_protected_code_computes_what_plain_code_does_in_a_whole_flight():
 def test_each_shipped_plan_is_that_of_the_code(golden, name):
     """Made again by `mavfi harden` after a change of a kernel."""
     plan = load_plan(name)
-    for planner in {one.kernel for one in plan.functions} & (PLANNERS.keys() - {"rrt_connect"}):
+    for planner in {planned.kernel for planned in plan.functions} & (PLANNERS.keys() - {"rrt_connect"}):
         fly(mission("", planner=planner))  # its types are known then
-    functions = {name_of(getattr(PLAIN, entry)): getattr(PLAIN, entry) for own in INJECTABLE.values() for entry in own}
+    functions = {
+        name_of(getattr(PLAIN, entry)): getattr(PLAIN, entry) for entries in INJECTABLE.values() for entry in entries
+    }
     assert plan.functions
-    for one in plan.functions:
-        function = functions[one.function]
-        (signature,) = (own for own in function.overloads if signature_text(own) == one.signature)
-        assert cached_shape(function, signature)[0] == one.ir_sha256, one.function
+    for planned in plan.functions:
+        function = functions[planned.function]
+        (signature,) = (entries for entries in function.overloads if signature_text(entries) == planned.signature)
+        assert cached_shape(function, signature)[0] == planned.ir_sha256, planned.function
 
 
-@pytest.mark.long
 def test_protection_flies_with_a_detector_and_its_restarts_in_a_campaign(tmp_path):
     shipped = load_campaign("protected").to_json()
     arms = {name: shipped["arms"][name] for name in ("ten_percent", "ten_percent_recommended")}

@@ -23,18 +23,18 @@ def record(name, *values):
 
 def definitions():
     """What a log starts with: formats and units."""
-    parts = []
+    records = []
     formats = {"FMT": (_FMT, "BBnNZ", "Type,Length,Name,Format,Columns", ""), **FORMATS}
     for name, (number, form, columns, _) in formats.items():
         size = 3 + struct.calcsize("<" + "".join(_STRUCT.get(c, "B") for c in form))
         body = struct.pack("<BB4s16s64s", number, size, name.encode(), form.encode(), columns.encode())
-        parts.append(_HEAD + bytes([_FMT]) + body)
+        records.append(_HEAD + bytes([_FMT]) + body)
     for letter, label in UNITS:
-        parts.append(record("UNIT", 0, ord(letter), label.encode()))
+        records.append(record("UNIT", 0, ord(letter), label.encode()))
     for number, _, _, units in FORMATS.values():
         if units:
-            parts.append(record("FMTU", 0, number, units.encode(), b"-" * len(units)))
-    return b"".join(parts)
+            records.append(record("FMTU", 0, number, units.encode(), b"-" * len(units)))
+    return b"".join(records)
 
 
 def text_definitions():

@@ -66,9 +66,9 @@ def read_mcap(path):
 @pytest.fixture(scope="module", params=["bag", "mcap"])
 def messages(request):
     path, written = request.getfixturevalue(request.param)
-    found = read_bag(path) if request.param == "bag" else read_mcap(path)
-    assert len(found) == written
-    return found
+    read_messages = read_bag(path) if request.param == "bag" else read_mcap(path)
+    assert len(read_messages) == written
+    return read_messages
 
 
 def of(messages, topic):
@@ -164,11 +164,11 @@ def test_a_saved_flight_with_a_fault_is_flown_again_with_its_golden_run(tmp_path
     assert run(["fly", "--seed", "3", "--fault", fault, "--detector", "gaussian", "--save", str(saved)]) == 0
     assert run(["export", str(saved), "--to", str(to)]) == 0
     assert capsys.readouterr().err == ""
-    found = read_bag(to)
-    assert PUBLISHED <= {topic for topic, _, _ in found}
-    (golden,), (flown,) = of(found, "/golden"), of(found, "/flown")
+    exported = read_bag(to)
+    assert PUBLISHED <= {topic for topic, _, _ in exported}
+    (golden,), (flown,) = of(exported, "/golden"), of(exported, "/flown")
     assert golden.poses[0].pose.position == flown.poses[0].pose.position
-    names = [m.name for m in of(found, "/log")]
+    names = [m.name for m in of(exported, "/log")]
     assert names[names.index("injection") + 1] == "alarm"
 
 

@@ -11,6 +11,7 @@ from mavfi.extras.logs.recording import read_recording
 from mavfi.extras.logs.selection import Wanted, select
 from mavfi.extras.logs.watch import Flip, JudgedLog, LogAlarm, LogRates, LogWatch
 from mavfi.extras.shared.log_readers import open_flight_log
+from tests.night import at_night
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +126,7 @@ def test_fields_that_are_not_in_all_recordings_are_refused(recordings, wanted):
         select(pair, pair, Wanted([wanted]))
 
 
-@pytest.mark.parametrize("ending", ["ulg", "tlog", "bag", "mcap", "csv", "jsonl"])
+@pytest.mark.parametrize("ending", ["mcap", "csv", *at_night("ulg", "tlog", "bag", "jsonl")])
 def test_the_command_reads_every_format(files, ending, capsys):
     log, train = (str(files(ending, name)) for name in ("b", "a"))
     assert run(["watch", log, "--train", train, "--inject", "6", "--json"]) == 0

@@ -25,9 +25,9 @@ def written(folder, name, text):
 
 def imported(path):
     """The vehicle, and what was said of it."""
-    with pytest.warns(UserWarning) as said:
-        found = find_vehicle(path)
-    return found, str(said[-1].message)
+    with pytest.warns(UserWarning) as warned:
+        config = find_vehicle(path)
+    return config, str(warned[-1].message)
 
 
 def refusal(path):
@@ -39,22 +39,22 @@ def refusal(path):
 
 @pytest.mark.parametrize(("name", "text"), [("quad.sdf", models.sdf()), ("quad.urdf", models.urdf())])
 def test_links_are_one_rigid_body_with_the_rotors_of_the_plugins(tmp_path, name, text):
-    found, said = imported(written(tmp_path, name, text))
+    config, warned = imported(written(tmp_path, name, text))
     # four points of 0.05 kg, 0.1 m above the body; parallel-axis theorem by hand
     low, high = 0.2 * 0.1 / 2.2, 2.0 * 0.1 / 2.2
     around = 2.0 * low**2 + 0.2 * high**2
     expected = (0.02 + around + 0.2 * 0.2**2, 0.03 + around + 0.2 * 0.2**2, 0.04 + 0.2 * 0.08)
-    assert found.name == "quad" and found.mass == pytest.approx(2.2)
-    np.testing.assert_allclose(found.inertia, expected, rtol=1e-5)
-    assert found.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
-    assert found.max_rotor_thrust == pytest.approx(models.THRUST)
-    assert (found.rotor_torque_ratio, found.rotor_time_constant) == (0.02, 0.02)
+    assert config.name == "quad" and config.mass == pytest.approx(2.2)
+    np.testing.assert_allclose(config.inertia, expected, rtol=1e-5)
+    assert config.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
+    assert config.max_rotor_thrust == pytest.approx(models.THRUST)
+    assert (config.rotor_torque_ratio, config.rotor_time_constant) == (0.02, 0.02)
     tip = math.hypot(0.2 * math.sqrt(2.0) + 0.1, high + 0.005)
-    assert found.collision_radius == pytest.approx(tip, abs=1e-3) and found.collision_radius >= tip
+    assert config.collision_radius == pytest.approx(tip, abs=1e-3) and config.collision_radius >= tip
     # Gazebo's drag: coefficient x rotor speed x speed, the same force as ours at 3 m/s
     hover = math.sqrt(2.2 * GRAVITY / 4.0 / 1e-5)
-    assert found.drag == pytest.approx((4.0 * 1e-4 * hover / 3.0,) * 2 + (0.0,), rel=1e-5)
-    assert "mass 2.2" in said and "assumed" not in said
+    assert config.drag == pytest.approx((4.0 * 1e-4 * hover / 3.0,) * 2 + (0.0,), rel=1e-5)
+    assert "mass 2.2" in warned and "assumed" not in warned
 
 
 def test_mass_properties_of_a_tree_of_turned_links_are_mujocos(tmp_path):
@@ -91,11 +91,11 @@ def test_mass_properties_of_a_tree_of_turned_links_are_mujocos(tmp_path):
 
 
 def test_a_plus_is_flown_as_an_x_that_keeps_the_directions_of_its_rotors(tmp_path):
-    found, said = imported(written(tmp_path, "plus.sdf", models.sdf(models.PLUS)))
-    assert found.arm_length == pytest.approx(0.25)
-    around = 0.5 * (found.inertia[0] + found.inertia[1])
-    assert found.inertia[0] == pytest.approx(around)  # 0.02 and 0.03 by halves
-    assert "its front is" in said and "mirror" not in said and "products of inertia" in said
+    config, warned = imported(written(tmp_path, "plus.sdf", models.sdf(models.PLUS)))
+    assert config.arm_length == pytest.approx(0.25)
+    around = 0.5 * (config.inertia[0] + config.inertia[1])
+    assert config.inertia[0] == pytest.approx(around)  # 0.02 and 0.03 by halves
+    assert "its front is" in warned and "mirror" not in warned and "products of inertia" in warned
 
 
 def test_parts_of_other_files_and_frames_count(tmp_path):
@@ -107,12 +107,12 @@ def test_parts_of_other_files_and_frames_count(tmp_path):
         include = (
             f'<include merge="{merge}"><uri>model://pod</uri><pose relative_to="bay">-0.1 0 0 0 0 0</pose></include>'
         )
-        found, _ = imported(written(tmp_path, "quad.sdf", models.sdf(more=frame + include)))
+        config, _ = imported(written(tmp_path, "quad.sdf", models.sdf(more=frame + include)))
         # the pod's centre is at the bay, 0.2 m below the body, as 0.1 m forward and backward cancel
-        assert found.mass == pytest.approx(2.6)
+        assert config.mass == pytest.approx(2.6)
         centre = (0.2 * 0.1 - 0.4 * 0.2) / 2.6
         around = 2.0 * centre**2 + 0.2 * (0.1 - centre) ** 2 + 0.4 * (0.2 + centre) ** 2
-        assert found.inertia[0] == pytest.approx(0.02 + around + 0.2 * 0.04, rel=1e-5)
+        assert config.inertia[0] == pytest.approx(0.02 + around + 0.2 * 0.04, rel=1e-5)
     gone = models.sdf(more="<include><uri>model://absent</uri></include>")
     assert "includes absent (not on this machine)" in refusal(written(tmp_path, "quad.sdf", gone))
 
@@ -131,14 +131,14 @@ def mjcf(torques):
 
 
 def test_motors_at_sites_of_an_mjcf_model_are_rotors(tmp_path):
-    found, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, -0.04, 0.04, 0.04))))
-    assert (found.mass, found.max_rotor_thrust, found.rotor_torque_ratio) == (1.0, 6.0, 0.02)
-    assert found.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
-    assert found.collision_radius == pytest.approx(0.15) and "mirror" not in said and "same way" not in said
-    _, said = imported(written(tmp_path, "quad.xml", mjcf((-0.04, 0.04, 0.04, -0.04))))
-    assert "its neighbouring rotors turn the same way; flown with opposite ones" in said
-    one = '<motor name="all" site="s" gear="0 0 1 0 0 0" ctrlrange="0 24"/>'
-    path = written(tmp_path, "one.xml", MJCF.format(sites='<site name="s"/>', motors=one))
+    config, warned = imported(written(tmp_path, "quad.xml", mjcf((-0.04, -0.04, 0.04, 0.04))))
+    assert (config.mass, config.max_rotor_thrust, config.rotor_torque_ratio) == (1.0, 6.0, 0.02)
+    assert config.arm_length == pytest.approx(0.2 * math.sqrt(2.0), rel=1e-5)
+    assert config.collision_radius == pytest.approx(0.15) and "mirror" not in warned and "same way" not in warned
+    _, warned = imported(written(tmp_path, "quad.xml", mjcf((-0.04, 0.04, 0.04, -0.04))))
+    assert "its neighbouring rotors turn the same way; flown with opposite ones" in warned
+    shared_motor = '<motor name="all" site="s" gear="0 0 1 0 0 0" ctrlrange="0 24"/>'
+    path = written(tmp_path, "one.xml", MJCF.format(sites='<site name="s"/>', motors=shared_motor))
     assert "does not say: arm_length: " in refusal(path)
     written(tmp_path, "mine.yaml", "model: one.xml\narm_length: 0.2\n")
     assert imported(str(tmp_path / "mine.yaml"))[0].max_rotor_thrust == 6.0
@@ -157,12 +157,12 @@ CRAZYFLIE = (
 
 
 def test_properties_of_a_crazyflie(tmp_path):
-    found, said = imported(written(tmp_path, "cf.urdf", CRAZYFLIE))
-    assert found.arm_length == pytest.approx(0.03 * math.sqrt(2.0), rel=1e-5)
-    assert found.max_rotor_thrust == pytest.approx(0.5 * 0.03 * GRAVITY, rel=1e-5)
-    assert found.rotor_torque_ratio == pytest.approx(0.02)
-    assert found.collision_radius == pytest.approx(0.061, abs=1e-3)
-    assert "assumed rotor_time_constant: 0.02 s" in said
+    config, warned = imported(written(tmp_path, "cf.urdf", CRAZYFLIE))
+    assert config.arm_length == pytest.approx(0.03 * math.sqrt(2.0), rel=1e-5)
+    assert config.max_rotor_thrust == pytest.approx(0.5 * 0.03 * GRAVITY, rel=1e-5)
+    assert config.rotor_torque_ratio == pytest.approx(0.02)
+    assert config.collision_radius == pytest.approx(0.061, abs=1e-3)
+    assert "assumed rotor_time_constant: 0.02 s" in warned
 
 
 SIH = {"SIH_MASS": 2.0, "SIH_T_MAX": 8.0, "SYS_HITL": 2, "CA_ROTOR0_CT": 6.5, "MPC_THR_HOVER": 0.5}
@@ -174,15 +174,15 @@ def test_an_airframe_asks_for_what_it_lacks_by_key_and_takes_it_from_a_yaml_file
     assert all(f"{key}: " in text for key in ("mass", "inertia", "max_rotor_thrust")) and "arm_length" not in text
     assert "hovering at 0.5" in text and f"'model: {path}'" in text
     written(tmp_path, "mine.yaml", "model: 4001_small\nmass: 1.5\ninertia: [0.01, 0.01, 0.02]\ndrag: [0.1, 0.1, 0.2]\n")
-    found, said = imported(str(tmp_path / "mine.yaml"))
-    assert found.name == "Small_Quad" and found.mass == 1.5 and found.drag == (0.1, 0.1, 0.2)
-    assert found.max_rotor_thrust == pytest.approx(1.5 * GRAVITY / 4.0 / 0.5, rel=1e-5)
-    assert found.rotor_torque_ratio == 0.05 and "drag" not in said
-    assert "assumed collision_radius: 1.5 x arm_length" in said
+    config, warned = imported(str(tmp_path / "mine.yaml"))
+    assert config.name == "Small_Quad" and config.mass == 1.5 and config.drag == (0.1, 0.1, 0.2)
+    assert config.max_rotor_thrust == pytest.approx(1.5 * GRAVITY / 4.0 / 0.5, rel=1e-5)
+    assert config.rotor_torque_ratio == 0.05 and "drag" not in warned
+    assert "assumed collision_radius: 1.5 x arm_length" in warned
     listed = "".join(f"1\t1\t{key}\t{value}\t9\n" for key, value in SIH.items())
-    found, said = imported(written(tmp_path, "sih.params", "# parameters\n" + listed))
-    assert (found.mass, found.max_rotor_thrust) == (2.0, 8.0) and "PX4's defaults of SIH_IXX" in said
-    assert found.rate_gain == pytest.approx((9.0, 9.0, 3.0))  # for its motors of 0.05 s
+    config, warned = imported(written(tmp_path, "sih.params", "# parameters\n" + listed))
+    assert (config.mass, config.max_rotor_thrust) == (2.0, 8.0) and "PX4's defaults of SIH_IXX" in warned
+    assert config.rate_gain == pytest.approx((9.0, 9.0, 3.0))  # for its motors of 0.05 s
     # all parameters are listed, also where PX4's own simulation is not used, and defaults say nothing
     text = refusal(written(tmp_path, "other.params", listed.replace("SYS_HITL\t2", "SYS_HITL\t0")))
     assert "mass" in text and "max_rotor_thrust: largest" in text and "hovering" not in text
@@ -191,8 +191,8 @@ def test_an_airframe_asks_for_what_it_lacks_by_key_and_takes_it_from_a_yaml_file
 def test_files_that_gazebo_reads_although_they_are_no_strict_xml(tmp_path):
     text = models.sdf().replace("<plugin ", '<gz:order a:b="1">0</gz:order><plugin ', 1)
     for before in ("\n\n", "\ufeff\n", "<!-- generated from\n a template -->\n"):
-        found, _ = imported(written(tmp_path, "quad.sdf", f"{before}<?xml version='1.0'?>\n{text}"))
-        assert found.mass == pytest.approx(2.2)
+        config, _ = imported(written(tmp_path, "quad.sdf", f"{before}<?xml version='1.0'?>\n{text}"))
+        assert config.mass == pytest.approx(2.2)
     for before in ("{# from a template #}\n", "{%- set mass = 2 -%}\n\n<!-- note -->\n"):
         written(tmp_path, "quad.sdf.jinja", f"{before}<?xml version='1.0'?>\n{text}")
         assert sdf_vehicle(tmp_path / "quad.sdf.jinja", {}).keys["mass"] == pytest.approx(2.2)
@@ -200,9 +200,9 @@ def test_files_that_gazebo_reads_although_they_are_no_strict_xml(tmp_path):
 
 def test_rotors_without_collision_shapes_are_said_to_reach_out(tmp_path):
     bare = models.urdf().replace('<cylinder radius="0.1" length="0.01"/>', "<mesh filename='x.dae'/>")
-    found, said = imported(written(tmp_path, "quad.urdf", bare))
-    assert found.collision_radius < found.arm_length + 0.1
-    assert f"rotor tips may be outside of collision_radius ({found.collision_radius:g} m)" in said
+    config, warned = imported(written(tmp_path, "quad.urdf", bare))
+    assert config.collision_radius < config.arm_length + 0.1
+    assert f"rotor tips may be outside of collision_radius ({config.collision_radius:g} m)" in warned
     written(tmp_path, "mine.yaml", "model: quad.urdf\ncollision_radius: 0.2\n")
     assert "rotor tips" not in imported(str(tmp_path / "mine.yaml"))[1]
     assert "rotor tips" not in imported(written(tmp_path, "whole.urdf", models.urdf()))[1]
@@ -239,8 +239,8 @@ def test_xacro_is_expanded_without_ros(tmp_path, monkeypatch):
       <xacro:body name="$(arg namespace)_box" mass="$(arg extra)"/>
       <joint name="f" type="fixed"><parent link="base"/><child link="$(arg namespace)_box"/></joint></robot>"""
     path = written(tmp_path, "quad.xacro", text)
-    found, _ = imported(path)
-    assert found.mass == pytest.approx(2.45)
+    config, _ = imported(path)
+    assert config.mass == pytest.approx(2.45)
     written(tmp_path, "mine.yaml", "model: quad.xacro\nxacro: {extra: 0.5}\n")
     assert imported(str(tmp_path / "mine.yaml"))[0].mass == pytest.approx(2.7)
     monkeypatch.setenv("MAVFI_ALLOW_PLUGINS", "")

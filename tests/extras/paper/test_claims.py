@@ -1,9 +1,8 @@
 import pytest
 
-from mavfi.analysis.statistics import holm
 from mavfi.errors import BadInputError
 from mavfi.extras.paper import claims
-from mavfi.extras.paper.claims import Claim, Evidence, claims_table, verdict
+from mavfi.extras.paper.claims import Claim, Evidence, claims_table, holm, verdict
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.record import EnergyTerms
 from tests.core.unit.analysis.handmade import alarm, flown, golden, injected, runs
@@ -28,10 +27,10 @@ def test_the_correction_is_over_all_claims_of_the_table(monkeypatch):
     name = "of_this_test"
     claim = Claim(name, "It holds", "I", "handmade", "by hand", lambda _: Evidence("seen", 0.03, supports=True))
     monkeypatch.setattr(claims, "CLAIMS", {name: claim})
-    own = [runs(golden(1), injected(1, flown()))]
-    [alone] = claims_table([name], own).entries()
+    entries = [runs(golden(1), injected(1, flown()))]
+    [alone] = claims_table([name], entries).entries()
     assert (alone["verdict"], alone["holm_p"]) == ("confirmed", 0.03)
-    first, second = claims_table([name, name], own).entries()
+    first, second = claims_table([name, name], entries).entries()
     assert first["holm_p"] == second["holm_p"] == 0.06 and first["verdict"] == "undecided"
     [absent] = claims_table([name], []).entries()
     assert (absent["verdict"], absent["p"]) == ("undecided", None) and "no runs of campaign" in absent["here"]
@@ -44,10 +43,14 @@ def test_an_unknown_claim_is_refused():
 
 def states(stage_lost, arm_saves=True):
     """Ten missions with one fault each: those of a stage are lost without the detector `gaussian`."""
-    own = []
+    entries = []
     for seed in range(10):
-        own += [golden(seed), injected(seed, flown(not stage_lost)), injected(seed, flown(arm_saves), arm="gaussian")]
-    return runs(*own, name="table1")
+        entries += [
+            golden(seed),
+            injected(seed, flown(not stage_lost)),
+            injected(seed, flown(arm_saves), arm="gaussian"),
+        ]
+    return runs(*entries, name="table1")
 
 
 @pytest.mark.parametrize(
@@ -60,18 +63,18 @@ def states(stage_lost, arm_saves=True):
     ],
 )
 def test_claims_of_the_paper_follow_the_runs(name, stage_lost, arm_saves, expected):
-    [found] = claims_table([name], [states(stage_lost, arm_saves)]).entries()
-    assert found["verdict"] == expected, found["here"]
+    [claim] = claims_table([name], [states(stage_lost, arm_saves)]).entries()
+    assert claim["verdict"] == expected, claim["here"]
 
 
 def test_golden_runs_count_once_however_many_faults_their_world_has():
-    own = [
-        one
+    entries = [
+        entry
         for seed in range(10)
-        for one in (golden(seed), *(injected(seed, flown(index), index=index) for index in range(3)))
+        for entry in (golden(seed), *(injected(seed, flown(index), index=index) for index in range(3)))
     ]
     names = ["fault_loses_missions_in_states", "fault_lengthens_flights_in_states"]
-    lost, longer = claims_table(names, [runs(*own, name="table1")]).entries()
+    lost, longer = claims_table(names, [runs(*entries, name="table1")]).entries()
     assert (
         "golden 100.0 % [72.2, 100.0] (n = 10), fault 66.7 %" in lost["here"] and "(n = 30), 10 worlds" in lost["here"]
     )
@@ -79,14 +82,14 @@ def test_golden_runs_count_once_however_many_faults_their_world_has():
 
 
 def test_platforms_are_compared_in_the_same_worlds():
-    own = []
+    entries = []
     for seed in range(10):  # longer by 1 s in each world, among which they differ far more
-        own += [
-            golden(seed, flown(flight_time_s=10.0 * seed + slow), environment=place)
-            for place, slow in (("i9-9940x", 1), ("cortex-a57", 2))
+        entries += [
+            golden(seed, flown(flight_time_s=10.0 * seed + slow), environment=platform)
+            for platform, slow in (("i9-9940x", 1), ("cortex-a57", 2))
         ]
-    [found] = claims_table(["slow_platform_time"], [runs(*own, name="platforms")]).entries()
-    assert found["verdict"] == "confirmed" and "10 worlds" in found["here"], found
+    [claim] = claims_table(["slow_platform_time"], [runs(*entries, name="platforms")]).entries()
+    assert claim["verdict"] == "confirmed" and "10 worlds" in claim["here"], claim
 
 
 @pytest.mark.parametrize(
@@ -97,23 +100,23 @@ def test_measured_overheads_of_all_stages_together_are_tested_by_flight(share, e
     rows = (
         [
             {
-                "environment": place,
+                "environment": environment,
                 "arm": "gaussian",
                 "stage": stage,
                 "detection": share,
                 "recovery": share,
                 "flights": [(share, share)] * 3,
             }
-            for place in ("factory", "farm", "sparse", "dense")
+            for environment in ("factory", "farm", "sparse", "dense")
             for stage in ("perception", "planning", "control", ALL)
         ]
         if share
         else []
     )
-    own = runs(golden(1), name="table1", overheads={"rows": rows})
-    [found] = claims_table(["gaussian_overhead_measured"], [own]).entries()
-    assert found["verdict"] == expected, found
-    assert not share or found["here"].endswith(f"mean of 12 flights; above it in {12 * (expected != 'confirmed')}")
+    campaign_runs = runs(golden(1), name="table1", overheads={"rows": rows})
+    [claim] = claims_table(["gaussian_overhead_measured"], [campaign_runs]).entries()
+    assert claim["verdict"] == expected, claim
+    assert not share or claim["here"].endswith(f"mean of 12 flights; above it in {12 * (expected != 'confirmed')}")
 
 
 @pytest.mark.parametrize(
@@ -127,18 +130,25 @@ def test_measured_overheads_of_all_stages_together_are_tested_by_flight(share, e
 )
 def test_measured_overheads_of_two_detectors_are_compared_by_flight(name, aad, gad, expected):
     rows = [
-        {"environment": place, "arm": arm, "stage": stage, "detection": 9.0, "recovery": 9.0, "flights": [shares] * 2}
-        for place in ("factory", "farm", "sparse", "dense")
+        {
+            "environment": environment,
+            "arm": arm,
+            "stage": stage,
+            "detection": 9.0,
+            "recovery": 9.0,
+            "flights": [shares] * 2,
+        }
+        for environment in ("factory", "farm", "sparse", "dense")
         for arm, shares in (("autoencoder", aad), ("gaussian", gad), ("mine", gad))
         for stage in (ALL, "control")
     ]
-    own = runs(golden(1), name="table1", overheads={"rows": rows})
-    [found] = claims_table([name], [own]).entries()
-    assert found["verdict"] == expected and found["here"].endswith("of 8 flights"), found["here"]
+    campaign_runs = runs(golden(1), name="table1", overheads={"rows": rows})
+    [claim] = claims_table([name], [campaign_runs]).entries()
+    assert claim["verdict"] == expected and claim["here"].endswith("of 8 flights"), claim["here"]
     for row in rows:
         del row["flights"]
-    [found] = claims_table([name], [own]).entries()
-    assert (found["verdict"], found["p"]) == ("undecided", None), "measured by an earlier version"
+    [claim] = claims_table([name], [campaign_runs]).entries()
+    assert (claim["verdict"], claim["p"]) == ("undecided", None), "measured by an earlier version"
 
 
 @pytest.mark.parametrize(
@@ -153,20 +163,20 @@ def test_measured_overheads_of_two_detectors_are_compared_by_flight(name, aad, g
 )
 def test_claims_on_detection_recovery_and_flight_time(name, expected):
     """Every second fault loses its mission, which detectors bring back in Sparse alone, where they raise alarms."""
-    own = []
+    entries = []
     for seed in range(24):
-        for place in ("sparse", "dense"):
-            saved, lost = place == "sparse", seed % 2 == 0
+        for environment in ("sparse", "dense"):
+            saved, lost = environment == "sparse", seed % 2 == 0
             alarms = [alarm(0.3)] if saved else []
-            own += [
-                golden(seed, environment=place),
-                injected(seed, flown(not lost, flight_time_s=60.0), environment=place),
+            entries += [
+                golden(seed, environment=environment),
+                injected(seed, flown(not lost, flight_time_s=60.0), environment=environment),
             ]
             for arm, time in (("gaussian", 51.0), ("autoencoder", 55.0)):
                 record = flown(saved or not lost, flight_time_s=time, alarms=alarms)
-                own.append(injected(seed, record, arm=arm, environment=place))
-    [found] = claims_table([name], [runs(*own, name="table1")]).entries()
-    assert found["verdict"] == expected, found
+                entries.append(injected(seed, record, arm=arm, environment=environment))
+    [claim] = claims_table([name], [runs(*entries, name="table1")]).entries()
+    assert claim["verdict"] == expected, claim
 
 
 def test_a_bound_is_tested_on_recomputation_over_compute_time():
@@ -174,9 +184,9 @@ def test_a_bound_is_tested_on_recomputation_over_compute_time():
         return flown(recompute_us={"control": spent}, compute_us={"pid": 1_000_000 + spent})
 
     for spent, expected in ((10_000, "confirmed"), (100_000, "contradicted")):
-        own = [injected(seed, flight(spent), arm="gaussian") for seed in range(10)]
-        [found] = claims_table(["gaussian_overhead"], [runs(*own, name="table1_instructions")]).entries()
-        assert found["verdict"] == expected and "(n = 10) of compute time" in found["here"]
+        entries = [injected(seed, flight(spent), arm="gaussian") for seed in range(10)]
+        [claim] = claims_table(["gaussian_overhead"], [runs(*entries, name="table1_instructions")]).entries()
+        assert claim["verdict"] == expected and "(n = 10) of compute time" in claim["here"]
 
 
 PLATFORMS = {"i9-9940x": {"platform": "i9-9940x"}, "cortex-a57": {"platform": "cortex-a57"}}
@@ -184,16 +194,18 @@ PLATFORMS = {"i9-9940x": {"platform": "i9-9940x"}, "cortex-a57": {"platform": "c
 
 def on_platforms(slow, faulty, detected):
     """Ten missions per platform with one fault each; flight times (s) on the Cortex-A57, 40 s elsewhere."""
-    own = []
+    entries = []
     for seed in range(10):
-        for place, times in (("i9-9940x", (40.0, 40.0, 40.0)), ("cortex-a57", (slow, faulty, detected))):
-            one, fault, cured = (flown(flight_time_s=time + 0.01 * seed, energy=EnergyTerms(time)) for time in times)
-            own += [
-                golden(seed, one, environment=place),
-                injected(seed, fault, environment=place),
-                injected(seed, cured, environment=place, arm="gaussian"),
+        for platform, times in (("i9-9940x", (40.0, 40.0, 40.0)), ("cortex-a57", (slow, faulty, detected))):
+            golden_record, fault, cured = (
+                flown(flight_time_s=time + 0.01 * seed, energy=EnergyTerms(time)) for time in times
+            )
+            entries += [
+                golden(seed, golden_record, environment=platform),
+                injected(seed, fault, environment=platform),
+                injected(seed, cured, environment=platform, arm="gaussian"),
             ]
-    return runs(*own, name="platforms", parts=PLATFORMS)
+    return runs(*entries, name="platforms", parts=PLATFORMS)
 
 
 @pytest.mark.parametrize(
@@ -224,5 +236,5 @@ def on_platforms(slow, faulty, detected):
     ],
 )
 def test_claims_of_platforms_follow_the_runs(name, times, expected, here):
-    [found] = claims_table([name], [on_platforms(*times)]).entries()
-    assert found["verdict"] == expected and here in found["here"], found["here"]
+    [claim] = claims_table([name], [on_platforms(*times)]).entries()
+    assert claim["verdict"] == expected and here in claim["here"], claim["here"]

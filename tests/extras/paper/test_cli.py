@@ -98,6 +98,7 @@ def test_it_trains_flies_times_prints_and_writes_and_resumes_where_it_stopped(ca
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("mavfi.campaign.training.record", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.training.RecordedFlights.fit", lambda _: None)
@@ -163,16 +164,18 @@ def test_a_damaged_record_of_a_study_is_named(capsys, tmp_path):
 @pytest.fixture
 def trained(monkeypatch):
     """Autopilot profiles that detectors were trained for; nothing is flown."""
-    found = []
+    missions = []
     monkeypatch.setattr(
-        "mavfi.extras.paper.cli._is_trained", lambda campaign, *_: campaign.mission.get("autopilot") in found
+        "mavfi.extras.paper.cli._is_trained", lambda campaign, *_: campaign.mission.get("autopilot") in missions
     )
     no_report(monkeypatch)
     monkeypatch.setattr("mavfi.campaign.begin.begin", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.run.run_campaigns", lambda *_, **__: None)
-    monkeypatch.setattr("mavfi.campaign.training.record", lambda _, __, mission, **___: found.append(mission.autopilot))
+    monkeypatch.setattr(
+        "mavfi.campaign.training.record", lambda _, __, mission, **___: missions.append(mission.autopilot)
+    )
     monkeypatch.setattr("mavfi.campaign.training.RecordedFlights.fit", lambda _: None)
-    return found
+    return missions
 
 
 @pytest.mark.parametrize(

@@ -49,26 +49,26 @@ def test_upsets_per_instruction_by_hand():
 
 
 def test_the_band_has_the_ends_of_flux_and_fit():
-    found = upsets_per_instruction(
+    band = upsets_per_instruction(
         upsets(fit_per_mbit={"value": 1000, "low": 100, "high": 2000}, altitude={"value": 120, "low": 0, "high": 1000})
     )
     middle = 5e-9 / 3.6e12
-    assert found.low == pytest.approx(0.1 * middle)
-    assert found.high == pytest.approx(2 * altitude_factor(1000) * middle)
-    assert found.low < found.value < found.high
+    assert band.low == pytest.approx(0.1 * middle)
+    assert band.high == pytest.approx(2 * altitude_factor(1000) * middle)
+    assert band.low < band.value < band.high
 
 
 def test_kernels_add_up_and_their_intervals_as_standard_errors_do():
-    parts = [ExposedKernel(10.0, Estimate(0.5, 0.2, 0.9)), ExposedKernel(10.0, Estimate(0.1, -0.3, 0.4))]
-    total = total_failures(parts, 1.0)
+    kernels = [ExposedKernel(10.0, Estimate(0.5, 0.2, 0.9)), ExposedKernel(10.0, Estimate(0.1, -0.3, 0.4))]
+    total = total_failures(kernels, 1.0)
     assert total.value == 6.0
     assert total.low == pytest.approx(6.0 - 5.0) and total.high == pytest.approx(6.0 + 5.0), "3, 4, 5"
     assert total_failures([], 1.0) == Estimate(0, 0, 0)
 
 
 def test_shipped_upsets_have_sources():
-    own = find_upsets()
-    assert set(own.sources) == set(UpsetConfig.model_fields) - {"name", "sources"}
+    shipped_upsets = find_upsets()
+    assert set(shipped_upsets.sources) == set(UpsetConfig.model_fields) - {"name", "sources"}
 
 
 @pytest.mark.parametrize(
@@ -95,9 +95,9 @@ def test_wrong_upsets_are_refused(tmp_path, changes, message):
 def test_idle_instructions_raise_the_coverage_and_save_no_mission(instructions, harm, idle):
     """Of the faults in a diluted kernel, the share instructions / (instructions + idle) goes where harm is done."""
     share = instructions / (instructions + idle)
-    own = ExposedKernel(instructions, Estimate(harm, harm / 2, harm))
+    exposed = ExposedKernel(instructions, Estimate(harm, harm / 2, harm))
     diluted = ExposedKernel(instructions + idle, Estimate(harm * share, harm * share / 2, harm * share))
-    assert 1 - diluted.harm.value >= 1 - own.harm.value
-    assert math.isclose(diluted.failures(1e-20).value, own.failures(1e-20).value, rel_tol=1e-9)
-    apart = total_failures([own, ExposedKernel(idle, Estimate(0.0, 0.0, 0.0))], 1e-20)
-    assert math.isclose(apart.value, own.failures(1e-20).value, rel_tol=1e-9)
+    assert 1 - diluted.harm.value >= 1 - exposed.harm.value
+    assert math.isclose(diluted.failures(1e-20).value, exposed.failures(1e-20).value, rel_tol=1e-9)
+    apart = total_failures([exposed, ExposedKernel(idle, Estimate(0.0, 0.0, 0.0))], 1e-20)
+    assert math.isclose(apart.value, exposed.failures(1e-20).value, rel_tol=1e-9)

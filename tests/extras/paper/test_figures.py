@@ -31,20 +31,24 @@ def test_figures_that_are_not_known_are_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_paths_are_drawn_from_flights_that_the_caller_has_flown_again(flown, tmp_path):
-    own = Runs.read(flown)
+    campaign_runs = Runs.read(flown)
     drawing = figures.drawing("trajectories")
-    assert drawing.draw(own) is None, "nothing is flown to draw"
-    wanted = drawing.cases(own)
-    again = with_flights(own, flown, wanted)
-    assert set(again.flights) == set(wanted) and len(path_cases(own)) == 2
+    assert drawing.draw(campaign_runs) is None, "nothing is flown to draw"
+    wanted = drawing.cases(campaign_runs)
+    again = with_flights(campaign_runs, flown, wanted)
+    assert set(again.flights) == set(wanted) and len(path_cases(campaign_runs)) == 2
     for run_id, flight in again.flights.items():
-        assert flight.log.digest() == own.frame.row(by_predicate=pl.col("run_id") == run_id, named=True)["digest"]
+        assert (
+            flight.log.digest()
+            == campaign_runs.frame.row(by_predicate=pl.col("run_id") == run_id, named=True)["digest"]
+        )
     made = figures.figure(again, "trajectories")
     assert len(made.axes) == 4, "from above and in 3-D, perception and planning"
-    for place, case in enumerate(path_cases(own)):
+    for index, case in enumerate(path_cases(campaign_runs)):
         path = again.flights[case.fault].log.columns("x", "y")
-        line = made.axes[2 * place].lines[1]
+        line = made.axes[2 * index].lines[1]
         assert line.get_xdata().tolist() == path[:, 0].tolist()
     [file] = figures.draw(again, tmp_path, ["trajectories"], "tiny_")
     assert file == "tiny_trajectories.png" and (tmp_path / file).stat().st_size > 50_000

@@ -34,16 +34,21 @@ def watched_runs(**about):
 
 
 def test_modelled_shares_by_hand_next_to_the_papers():
-    found = {row["stage"]: row for row in table(watched_runs(), "overheads_as_in_the_paper").entries()}
-    assert found["perception"]["modelled"] == found["all"]["modelled"] == pytest.approx(200 / 1000)
-    assert found["control"]["modelled"] == 0
-    assert found["perception"]["paper_recompute"] == 0.009788 and found["control"]["paper_detection"] == 0.000009
-    assert found["all"]["paper_sum"] == 0.019218 and found["control"]["paper_sum"] is None
-    assert found["all"]["paper_detection"] is found["all"]["paper_recompute"] is None, "it gives the sum alone"
-    assert found["all"]["measured_detection"] is None, "nothing was measured"
+    row_of_stage = {row["stage"]: row for row in table(watched_runs(), "overheads_as_in_the_paper").entries()}
+    assert row_of_stage["perception"]["modelled"] == row_of_stage["all"]["modelled"] == pytest.approx(200 / 1000)
+    assert row_of_stage["control"]["modelled"] == 0
+    assert (
+        row_of_stage["perception"]["paper_recompute"] == 0.009788
+        and row_of_stage["control"]["paper_detection"] == 0.000009
+    )
+    assert row_of_stage["all"]["paper_sum"] == 0.019218 and row_of_stage["control"]["paper_sum"] is None
+    assert row_of_stage["all"]["paper_detection"] is row_of_stage["all"]["paper_recompute"] is None, (
+        "it gives the sum alone"
+    )
+    assert row_of_stage["all"]["measured_detection"] is None, "nothing was measured"
     notes = table(watched_runs(), "overheads_as_in_the_paper").notes
     assert any("detection, modelled, are empty: " in note for note in notes), "elsewhere it may have been measured"
-    assert found["all"]["modelled_detection"] is found["all"]["modelled_sum"] is None
+    assert row_of_stage["all"]["modelled_detection"] is row_of_stage["all"]["modelled_sum"] is None
     assert not any("repeats it" in note for note in notes)
 
 
@@ -58,12 +63,14 @@ def test_medians_of_flights_are_divided_by_the_time_of_the_kernels_and_by_the_mo
 
     monkeypatch.setattr(overheads, "cost", cost)
     shown = []
-    found = overheads.measure(campaign(), 3, progress=lambda *done: shown.append(done))
-    assert [row["stage"] for row in found["rows"]] == ["perception", "planning", "control", "all"]
-    assert found["rows"][0]["detection"] == pytest.approx(0.1) and found["rows"][0]["recovery"] == pytest.approx(0.2)
-    assert found["rows"][0]["detection_modelled"] == pytest.approx(0.01)
-    assert [len(flight) for flight in found["rows"][0]["flights"]] == [3, 3, 3]
-    assert shown == [(1, 3), (2, 3), (3, 3)] and found["missions"] == 3
+    measured = overheads.measure(campaign(), 3, progress=lambda *done: shown.append(done))
+    assert [row["stage"] for row in measured["rows"]] == ["perception", "planning", "control", "all"]
+    assert measured["rows"][0]["detection"] == pytest.approx(0.1) and measured["rows"][0]["recovery"] == pytest.approx(
+        0.2
+    )
+    assert measured["rows"][0]["detection_modelled"] == pytest.approx(0.01)
+    assert [len(flight) for flight in measured["rows"][0]["flights"]] == [3, 3, 3]
+    assert shown == [(1, 3), (2, 3), (3, 3)] and measured["missions"] == 3
 
 
 def test_without_a_detector_there_is_nothing_to_measure():
@@ -82,9 +89,9 @@ def test_measured_shares_are_kept_with_the_ledger(tmp_path):
 
 
 def test_a_flight_is_measured_by_stage():
-    found = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "gaussian", "paper")
-    assert found.kernels > 0 and found.judged_count > 1000
-    assert found.compute > 10, "modelled: a map takes 0.28 s, and there are several a second"
-    assert all(found.detection[stage] > 0 for stage in overheads.STAGES)
-    assert found.detection["control"] > found.detection["planning"], "it publishes most"
-    assert found.recovery["all"] == pytest.approx(sum(found.recovery[stage] for stage in overheads.STAGES[:-1]))
+    measured = overheads.cost(MissionSpec(environment="sparse", seed=10_000), "gaussian", "paper")
+    assert measured.kernels > 0 and measured.judged_count > 1000
+    assert measured.compute > 10, "modelled: a map takes 0.28 s, and there are several a second"
+    assert all(measured.detection[stage] > 0 for stage in overheads.STAGES)
+    assert measured.detection["control"] > measured.detection["planning"], "it publishes most"
+    assert measured.recovery["all"] == pytest.approx(sum(measured.recovery[stage] for stage in overheads.STAGES[:-1]))

@@ -8,7 +8,7 @@ from tests.core.unit.analysis.handmade import golden, runs
 
 def test_findings_name_the_claims_that_are_contradicted_below_the_title_of_their_section():
     verdicts = ["confirmed", "contradicted", "undecided", "confirmed"]
-    rows = [(f"claim {place}", verdict) for place, verdict in enumerate(verdicts)]
+    rows = [(f"claim {number}", verdict) for number, verdict in enumerate(verdicts)]
     table = Table.of_text("claims", ["statement", "verdict"], rows, ())
     study = Study(name="small", campaigns={".": "table1"})
     report = StudyReport(study, {}, (SectionReport(StudySection(title="Tested"), None, (table,)),), ())

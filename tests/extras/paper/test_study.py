@@ -58,7 +58,7 @@ def test_quick_has_100_flights_in_each_cell_of_the_first_table():
 
 def test_the_paper_at_its_scale_has_the_sizes_that_its_head_names():
     campaigns = load_study("paper").campaigns_at("paper")
-    assert {folder: (found.missions, found.faults) for folder, found in campaigns.items()} == {
+    assert {folder: (campaign.missions, campaign.faults) for folder, campaign in campaigns.items()} == {
         ".": (100, 100),
         "state_level": (100, 100),
         "instructions": (100, 100),
@@ -67,13 +67,13 @@ def test_the_paper_at_its_scale_has_the_sizes_that_its_head_names():
         "platforms": (100, 100),
         "failure_rate": (25, 50),
     }
-    assert 21_000 < sum(Plan(resolve(found)).count() for found in campaigns.values()) < 22_000
+    assert 21_000 < sum(Plan(resolve(campaign)).count() for campaign in campaigns.values()) < 22_000
 
 
 def test_sizes_of_a_study_come_before_those_of_its_campaigns():
-    found = study(scales={"quick": {"kernels": {"missions": 2, "faults": 3}}}).campaigns_at("quick")
-    assert (found["kernels"].missions, found["kernels"].faults) == (2, 3)
-    assert found["."] == load_campaign("table1")
+    campaign = study(scales={"quick": {"kernels": {"missions": 2, "faults": 3}}}).campaigns_at("quick")
+    assert (campaign["kernels"].missions, campaign["kernels"].faults) == (2, 3)
+    assert campaign["."] == load_campaign("table1")
     with pytest.raises(BadInputError, match="campaign table1: scale 'huge': not known; allowed: quick, paper"):
         study().campaigns_at("huge")
 

@@ -4,7 +4,7 @@ import polars as pl
 import pytest
 
 from mavfi.analysis import published as paper
-from mavfi.analysis.measures import leads, population_names, population_text
+from mavfi.analysis.measures import leading_populations, population_text
 from mavfi.analysis.views import table
 from mavfi.extras.paper.figures import path_cases
 from mavfi.extras.paper.views import by_bits, by_state, value_at_risk
@@ -91,5 +91,5 @@ def test_sign_and_exponent_lead_together_where_they_are_drawn_apart():
     assert [len(by_state(found).where(target=name)) for name in ("yaw", "epochs")] == [2, 1]
     assert by_bits(found).values("bits") == ["golden run", "sign", "exponent", "mantissa"]
     assert [len(by_bits(found).where(bits=name)) for name in ("sign", "exponent", "mantissa")] == [1, 1, 1]
-    assert population_text(leads(population_names(found.injected, ()))) == "sign + exponent"
+    assert population_text(leading_populations(found)) == "sign + exponent"
     assert [population_text([name]) for name in ("sign", "all_bits")] == ["sign", ""]

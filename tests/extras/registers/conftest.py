@@ -40,9 +40,9 @@ def targets(_folder):
         pytest.skip("registers are injected on x86-64 Linux")
     if COMPILER is None:
         pytest.skip("no C compiler to make targets with")
-    found = Targets(_folder)
-    yield found
-    for target in found.running:
+    started = Targets(_folder)
+    yield started
+    for target in started.running:
         target.kill()
         target.communicate()
 

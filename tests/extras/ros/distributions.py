@@ -1,8 +1,7 @@
 """The distributions of ROS 2 with which tests run: by day the default one, at night all."""
 
-import pytest
-
 from mavfi.extras.ros.ros2.environment import DISTRIBUTIONS
+from tests.night import at_night
 
 BY_DAY, *AT_NIGHT = DISTRIBUTIONS
-EACH = [BY_DAY, *(pytest.param(name, marks=pytest.mark.long) for name in AT_NIGHT)]
+EACH = [BY_DAY, *at_night(*AT_NIGHT)]

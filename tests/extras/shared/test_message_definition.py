@@ -52,12 +52,12 @@ def made(kind):
 
 def oracle(kind, message, path):
     """What rosbags finds there."""
-    found = MAKER.store.deserialize_ros1(message, MAKER.name(kind))
+    decoded = MAKER.store.deserialize_ros1(message, MAKER.name(kind))
     for member, index in steps(path):
         member = {"secs": "sec", "nsecs": "nanosec"}.get(member, member)
-        found = getattr(found, member)
-        found = found if index is None else found[index]
-    return found
+        decoded = getattr(decoded, member)
+        decoded = decoded if index is None else decoded[index]
+    return decoded
 
 
 @pytest.mark.parametrize("kind", MESSAGES)

@@ -22,7 +22,7 @@ def test_the_headline_counts_what_comes_back():
     ]
     assert "remembers" not in block, "not flown with all three"
     assert "False alarms per hour of flight without a fault: 2.0 [1.0, 3.0] (`gaussian`)." in block
-    assert "only faults in the same value count" in block
+    assert "only faults that meet the same value" in block
 
     block = recovery_block({"sites": sites}, {})
     assert "alarms" not in block, "no golden flights, and no fault is moved by them"

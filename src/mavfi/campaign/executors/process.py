@@ -8,8 +8,6 @@ import os
 import pickle
 import resource
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 from mavfi.campaign.executors.executor import Done, Lost
-from mavfi.errors import MachineError, MavfiError, machine_failure
+from mavfi.errors import MachineError, machine_failure
 from mavfi.plugins import portable
 
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
@@ -38,26 +36,6 @@ class Raised:
 def is_last(item: object) -> bool:
     """Whether an item is the last of a mission."""
     return isinstance(item, (Done, Lost, Raised))
-
-
-class _Started:
-    """A started process with the interface of a forked one."""
-
-    def __init__(self, process: "subprocess.Popen[bytes]") -> None:
-        self._process = process
-        self.terminate = process.terminate
-        self.kill = process.kill
-
-    def is_alive(self) -> bool:
-        return self._process.poll() is None
-
-    def join(self, timeout: float | None = None) -> None:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout)
-
-    @property
-    def exitcode(self) -> int | None:
-        return self._process.returncode
 
 
 class Worker(Generic[T]):
@@ -81,17 +59,6 @@ class Worker(Generic[T]):
         process.start()
         theirs.close()
         return Worker(process, pipe)
-
-    @staticmethod
-    def started(function: Callable[[Any], Iterator[Any]]) -> "Worker[Any]":
-        """Start a worker in a new interpreter, for processes with threads and sockets, which must not fork."""
-        pipe, theirs = multiprocessing.Pipe()
-        command = [sys.executable, "-m", __name__, str(theirs.fileno()), str(os.getpid())]
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()])
-        theirs.close()
-        with contextlib.suppress(OSError):
-            pipe.send(function)
-        return Worker(_Started(process), pipe)
 
     def give(self, mission: T) -> None:
         """Send a mission; `take` reports a dead process."""
@@ -148,59 +115,42 @@ def _forked(
     pipe: Connection, ours: Iterable[Connection], function: Callable[[Any], Iterator[Any]], parent: int
 ) -> None:
     """Main function of a forked worker."""
-    if not _ends_with(parent):
+    if not ends_with(parent):
         return
     for end in ours:
         end.close()
     gc.freeze()  # inherited objects stay shared: a collection would copy their pages
-    _work(pipe, function)
+    work(pipe, function)
 
 
-def _started(handle: int, parent: int) -> None:
-    """Main function of a started worker."""
-    if not _ends_with(parent):
-        return
-    pipe = Connection(handle)
-    with contextlib.suppress(EOFError, OSError):
-        try:
-            function = pipe.recv()  # imports its module: seconds
-        except (AttributeError, ImportError) as error:
-            pipe.recv_bytes()
-            pipe.send(Raised(MavfiError(f"workers cannot import what they should call: {error}")))
-            return
-        gc.freeze()  # modules would take 0.1 s of the collection after each mission
-        _work(pipe, function)
-
-
-def _ends_with(parent: int) -> bool:
+def ends_with(parent: int) -> bool:
     """Let this process be killed when its parent dies; False if that has happened."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     return os.getppid() == parent
 
 
-def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None:
+def work(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None:
     """Fly missions until the pipe is closed or the parent is dead."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
-        _fly_all(pipe, function)
+        while True:
+            items = function(pipe.recv())
+            has_more = True
+            while has_more:
+                data, has_more = _next_of(items)
+                pipe.send_bytes(data)
+            # Collect reference cycles, i.e. flights with all their arrays, and return free memory to the system: few
+            # large objects do not trigger a collection, the heap keeps the size of the largest mission, and forks
+            # copy it.
+            gc.collect()
+            with contextlib.suppress(AttributeError):  # only in glibc
+                ctypes.CDLL(None).malloc_trim(0)
     except (EOFError, ConnectionError):  # the parent is dead
         return
     except (OSError, MemoryError) as error:
         if machine_failure(error):
             os._exit(_MUTE_EXIT)
-
-
-def _fly_all(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None:
-    """Fly missions until the pipe is closed; raises errors of the pipe, e.g. if an item cannot be sent."""
-    while True:
-        mission = pipe.recv()
-        items = function(mission)
-        has_more = True
-        while has_more:
-            data, has_more = _next_of(items)
-            pipe.send_bytes(data)
-        _return_memory()
 
 
 def _next_of(items: Iterator[Any]) -> tuple[bytes, bool]:
@@ -211,19 +161,3 @@ def _next_of(items: Iterator[Any]) -> tuple[bytes, bool]:
         return pickle.dumps(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)), False
     except Exception as error:  # raised in the parent
         return pickle.dumps(Raised(portable(error))), False
-
-
-def _return_memory() -> None:
-    """Collect reference cycles, i.e. flights with all their arrays, and return free memory to the system.
-
-    Few large objects do not trigger a collection, the heap keeps the size of the largest mission, and forks copy it.
-    """
-    gc.collect()
-    with contextlib.suppress(AttributeError):  # only in glibc
-        ctypes.CDLL(None).malloc_trim(0)
-
-
-if __name__ == "__main__":
-    from mavfi.campaign.executors import process
-
-    process._started(int(sys.argv[1]), int(sys.argv[2]))  # in the module under which items are pickled

@@ -5,8 +5,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mavfi.analysis.runs import Runs
@@ -225,6 +227,60 @@ def beside_published(flown: Table, published: Sequence[Mapping[str, str]], origi
     return replace(flown, rows=[row for row, _ in rows], notes=(note, *flown.notes), behind=behind)
 
 
+class LineEnd(NamedTuple):
+    """The right end of a line: its height (data), and the name and colour of the line."""
+
+    y: float
+    name: str
+    colour: str
+
+
+def name_lines(axes: Axes, ends: Sequence[LineEnd]) -> None:
+    """Name lines to the right of the axes, each with a thin leader to its end; names keep a distance.
+
+    Args:
+        axes: With its final limits.
+        ends: The lines.
+    """
+    size = 8.5  # of the names (pt)
+    low, high = axes.get_ylim()
+    height_in = 0.8 * axes.figure.get_figheight()  # type: ignore[union-attr] # about that of the axes
+    gap = (high - low) * 1.3 * size / (72.0 * height_in)
+    ordered = sorted(ends, key=lambda end: -end.y)
+    # from above, each at its height or a gap below the one above it; then from below, into the axes
+    heights: list[float] = []
+    for end in ordered:
+        ceiling = high
+        if heights:
+            ceiling = heights[-1] - gap
+        heights.append(min(end.y, ceiling))
+    floor = low
+    for index in reversed(range(len(heights))):
+        heights[index] = max(heights[index], floor)
+        floor = heights[index] + gap
+    beside = axes.get_yaxis_transform()  # share of the width, and data
+    for end, height in zip(ordered, heights, strict=True):
+        axes.annotate(
+            end.name,
+            (1.0, end.y),
+            (1.04, height),
+            xycoords=beside,
+            textcoords=beside,
+            va="center",
+            fontsize=size,
+            color=end.colour,
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": end.colour,
+                "linewidth": 0.7,
+                "relpos": (0.0, 0.5),
+                "shrinkA": 2,
+                "shrinkB": 0,
+            },
+        )
+
+
 def draw_curves(scores_of_schemes: Mapping[str, Scores], path: Path) -> Path:
     """Draw detection of harmful faults against false alarms per hour, one curve per detector.
 
@@ -254,7 +310,7 @@ def draw_curves(scores_of_schemes: Mapping[str, Scores], path: Path) -> Path:
             y = 100 * np.array([*shares, shares[-1]])
             axes.step(x, y, where="post", color=colour, linestyle=dashes, linewidth=1.8)
             at_the_edge = y[np.searchsorted(x, _MAX_ALARMS, side="right") - 1]
-            ends.append(style.LineEnd(at_the_edge, name, colour))
+            ends.append(LineEnd(at_the_edge, name, colour))
             # and its point at the threshold as shipped.
             false_alarms = np.searchsorted(-scheme.golden, -1.0)
             detected = (scheme.harmful_scores > 1.0).mean()
@@ -269,5 +325,5 @@ def draw_curves(scores_of_schemes: Mapping[str, Scores], path: Path) -> Path:
         )
         axes.grid(visible=True)
         axes.set_xlim(right=_MAX_ALARMS)
-        style.name_lines(axes, ends)
+        name_lines(axes, ends)
         return style.write(figure, path)

@@ -13,7 +13,7 @@ import numpy as np
 
 from mavfi.detectors.detector import DIFFERENT, Alarm, Detector
 from mavfi.errors import BadInputError
-from mavfi.extras.bench.crc import crc32c
+from mavfi.numerics.crc import crc32c
 from mavfi.numerics.elementary import log
 from mavfi.states import KERNELS, PPC_STAGES, STATES, State, states_with
 

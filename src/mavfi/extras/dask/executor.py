@@ -20,6 +20,7 @@ from mavfi.campaign.executors.local import TIME_LIMIT
 from mavfi.campaign.executors.process import Raised, Worker, is_last
 from mavfi.campaign.fingerprint import difference, fingerprint
 from mavfi.errors import BadInputError, MachineError, MavfiError, not_installed
+from mavfi.extras.dask.worker import start_worker
 from mavfi.plugins import allow_names, allowed_names
 
 if TYPE_CHECKING:
@@ -283,6 +284,6 @@ def _flyer(function: Callable[[Any], Iterator[Any]], topic: str) -> Worker[Any]:
         _THREAD.worker = None
     _THREAD.topic = topic
     if getattr(_THREAD, "worker", None) is None:
-        _THREAD.worker = Worker.started(function)
+        _THREAD.worker = start_worker(function)
     worker: Worker[Any] = _THREAD.worker
     return worker

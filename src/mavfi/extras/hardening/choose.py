@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from mavfi.extras.hardening.duplicate import candidates, is_address, is_fork
+from mavfi.extras.hardening.duplicate import candidates, is_address, is_fork, uses
 from mavfi.extras.hardening.plan import ModuleSite
-from mavfi.ir.flow import back_edges, uses
+from mavfi.ir.flow import back_edges
 from mavfi.ir.module import Instruction, Module, is_floating
 
 _DIVISION_COSTS = {"fdiv": 4.0, "frem": 8.0, "sdiv": 8.0, "udiv": 8.0, "srem": 8.0, "urem": 8.0}

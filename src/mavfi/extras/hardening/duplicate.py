@@ -14,11 +14,11 @@ The first part says which instructions can be duplicated, the last one changes t
 
 import re
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 from mavfi.extras.hardening.plan import ModuleSite
-from mavfi.ir.flow import back_edges, loop_depths, successors, uses
+from mavfi.ir.flow import back_edges, loop_depths, successors
 from mavfi.ir.module import BasicBlock, Function, Instruction, Module, width
 from mavfi.ir.parser import VOLATILE_LOAD
 
@@ -109,6 +109,18 @@ def kinds_of(function: Function) -> dict[str, str]:
             if instruction.result is not None:
                 kinds[str(instruction.result)] = instruction.kind
     return kinds
+
+
+def uses(function: Function) -> Iterator[tuple[str, Instruction, str]]:
+    """Operands of all instructions: name, user, and label of the block in which the operand must be available.
+
+    A phi needs an incoming value at the end of the block before.
+    """
+    for block in function.blocks:
+        for user in block.all():
+            operands = user.incoming or [(name, block.label) for name in dict.fromkeys(user.uses())]
+            for name, label in operands:
+                yield name, user, label
 
 
 # ---- duplication ----------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from mavfi.analysis import published as paper
 from mavfi.analysis.measures import recomputed_share
 from mavfi.analysis.rows import ACTIVATED
 from mavfi.analysis.runs import Runs
-from mavfi.analysis.statistics import holm
 from mavfi.analysis.table import TEXT, Column, Table
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.errors import BadInputError, not_known
@@ -53,6 +52,17 @@ CONTRADICTED = "contradicted"
 UNDECIDED = "undecided"
 NOT_TESTED = "not tested here"
 """Beginning of the note on findings that are left to other scales."""
+
+
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """Apply Holm's (1979) step-down correction over all tests with a p value; None remains None."""
+    tests = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
+    adjusted: list[float | None] = [None] * len(p_values)
+    largest = 0.0  # adjusted values never decrease in the order of the p values
+    for rank, (p, index) in enumerate(tests):
+        largest = max(largest, min(1.0, (len(tests) - rank) * p))
+        adjusted[index] = largest
+    return adjusted
 
 
 def claims_table(

@@ -20,7 +20,6 @@ from mavfi.analysis.statistics import (
     clustered_rate,
     draws,
     percentiles,
-    quantiles,
     resample,
 )
 
@@ -170,6 +169,33 @@ def contrast_measure(  # noqa: PLR0913 - what `Measure` and `contrast` take
         return None
 
     return Measure(key, heading, form, cell, counted=counted)
+
+
+def quantiles(values: np.ndarray, counts: np.ndarray, share: float) -> np.ndarray:
+    """Quantiles of samples that hold each value several times, interpolated linearly; NaN of empty samples.
+
+    Args:
+        values: In ascending order. Shape (n,).
+        counts: How often each value is in each sample. Shape (samples, n).
+        share: 0 to 1.
+
+    Returns:
+        Shape (samples,).
+    """
+    cumulative = counts.cumsum(axis=1)
+    size = cumulative[:, -1]
+    position = share * np.maximum(size - 1, 0)  # of the quantile in the sorted sample, fractional
+
+    def value_at(index: np.ndarray) -> np.ndarray:
+        """The value at an index of each sorted sample: the first one whose cumulative count exceeds the index."""
+        value: np.ndarray = values[np.minimum((cumulative <= index[:, None]).sum(axis=1), len(values) - 1)]
+        return value
+
+    low = value_at(np.floor(position))
+    high = value_at(np.ceil(position))
+    interpolated = low + (position - np.floor(position)) * (high - low)
+    result: np.ndarray = np.where(size > 0, interpolated, np.nan)
+    return result
 
 
 def _difference(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.ndarray:

@@ -18,6 +18,7 @@ from mavfi.cli import run
 from mavfi.outcomes import DUE
 from mavfi.record import plain
 from tests.campaigns import run_campaign
+from tests.night import at_night
 
 pytestmark = pytest.mark.slow
 
@@ -64,7 +65,7 @@ def digest(directory):
 
 def runs_of(directory, *settings):
     with Store.open(directory) as store:
-        return [one for one in store.runs(done=True) if not settings or one.spec.setting in settings]
+        return [run for run in store.runs(done=True) if not settings or run.spec.setting in settings]
 
 
 # ---- faults in data -------------------------------------------------------------------------------------------------
@@ -80,16 +81,22 @@ def in_data(tmp_path_factory):
 
 def test_kernels_have_equal_numbers_and_golden_runs_count_what_they_execute(in_data):
     injected = runs_of(in_data, "fi")
-    assert Counter(one.spec.fault.kernel for one in injected) == {"pid": 3, "point_cloud": 3}
-    golden = {one.record.digest for one in runs_of(in_data) if one.spec.kind == "golden"}
-    for one in injected:
-        assert one.record.kernel.effect in ("masked", "sdc", "exception"), "data neither crash nor hang"
-        assert one.record.kernel.effect != "masked" or one.record.digest in golden
-    counts = [one.record.counts for one in runs_of(in_data) if one.spec.kind == "golden" and one.record.counts]
+    assert Counter(completed.spec.fault.kernel for completed in injected) == {"pid": 3, "point_cloud": 3}
+    golden = {completed.record.digest for completed in runs_of(in_data) if completed.spec.kind == "golden"}
+    for completed in injected:
+        assert completed.record.kernel.effect in ("masked", "sdc", "exception"), "data neither crash nor hang"
+        assert completed.record.kernel.effect != "masked" or completed.record.digest in golden
+    counts = [
+        completed.record.counts
+        for completed in runs_of(in_data)
+        if completed.spec.kind == "golden" and completed.record.counts
+    ]
     for kernel in ("pid", "point_cloud"):
-        own = [counted[kernel] for counted in counts if kernel in counted]
-        assert len(own) == 2, "one for each mission"
-        assert all(sum(number for *_, number in counted["lines"]) == counted["instructions"] > 0 for counted in own)
+        kernel_counts = [counted[kernel] for counted in counts if kernel in counted]
+        assert len(kernel_counts) == 2, "one for each mission"
+        assert all(
+            sum(number for *_, number in counted["lines"]) == counted["instructions"] > 0 for counted in kernel_counts
+        )
 
 
 # ---- arms, stages, strata -------------------------------------------------------------------------------------------
@@ -108,13 +115,14 @@ def by_stage(tmp_path_factory):
 
 
 def test_each_stage_has_its_number_and_its_kernels_share_it(by_stage):
-    kernels = Counter(one.spec.target for one in runs_of(by_stage, "fi"))
+    kernels = Counter(completed.spec.target for completed in runs_of(by_stage, "fi"))
     assert kernels == {"point_cloud": 2, "collision_check": 2, "pid": 4}
 
 
 def test_arms_fly_the_same_faults(by_stage):
     fi, watched = (
-        [(one.spec.fault, one.record.digest) for one in runs_of(by_stage, setting)] for setting in ("fi", "dr_idle")
+        [(completed.spec.fault, completed.record.digest) for completed in runs_of(by_stage, setting)]
+        for setting in ("fi", "dr_idle")
     )
     assert len(fi) == 8
     assert fi == watched, "a detector that never alarms changes nothing"
@@ -137,11 +145,11 @@ def test_workers_and_stops_do_not_matter_to_addresses(in_addresses, tmp_path):
     assert digest(tmp_path) == digest(in_addresses)
 
 
-@pytest.mark.parametrize(
-    "effect", ["crash", *(pytest.param(name, marks=pytest.mark.long) for name in ("sdc", "masked"))]
-)
+@pytest.mark.parametrize("effect", ["crash", *at_night("sdc", "masked")])
 def test_the_command_gives_the_same_bytes_in_a_fresh_process(in_addresses, effect):
-    chosen = next((one for one in runs_of(in_addresses, "fi") if one.record.kernel.effect == effect), None)
+    chosen = next(
+        (completed for completed in runs_of(in_addresses, "fi") if completed.record.kernel.effect == effect), None
+    )
     if chosen is None:
         pytest.skip(f"no run was {effect}")
     done = subprocess.run(
@@ -154,12 +162,14 @@ def test_the_command_gives_the_same_bytes_in_a_fresh_process(in_addresses, effec
     verified = json.loads(done.stdout)
     assert verified["same"] and verified["replayable"]
     again = replay(in_addresses, chosen.spec.run_id).record
-    assert plain([one.to_json() for one in again.injections]) == plain([i.to_json() for i in chosen.record.injections])
+    assert plain([completed.to_json() for completed in again.injections]) == plain(
+        [i.to_json() for i in chosen.record.injections]
+    )
     assert again.kernel.effect == chosen.record.kernel.effect
 
 
 def test_explain_names_line_and_effect(in_addresses, capsys):
-    for chosen in {one.record.kernel.effect: one for one in runs_of(in_addresses, "fi")}.values():
+    for chosen in {completed.record.kernel.effect: completed for completed in runs_of(in_addresses, "fi")}.values():
         assert run(["explain", str(in_addresses), chosen.spec.run_id]) == 0
         shown = "".join(capsys.readouterr().out.split())
         injection = chosen.record.injections[0]

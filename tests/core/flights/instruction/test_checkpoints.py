@@ -20,6 +20,7 @@ from mavfi.levels.instruction.drawing import InstructionRequest, draw_instructio
 from mavfi.levels.instruction.fault import InstructionFault
 from tests.core.flights.missions import FAR_GOAL, Scripted, mission
 from tests.core.flights.test_checkpoints import Nervous, detector_of
+from tests.night import at_night
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "rrt_connect", "pid")
 ARMS = {"": lambda: None, "gaussian": lambda: detector_of("gaussian", "paper", mission()), "nervous": Nervous}
@@ -58,16 +59,7 @@ def both_ways(faults, arm="", make=lambda: None, **options):
     ("which", "arm"),
     [
         ("address", "gaussian"),
-        *(
-            pytest.param(*case, marks=pytest.mark.long)
-            for case in (
-                ("all", ""),
-                ("all", "gaussian"),
-                ("address", ""),
-                ("all", "nervous"),
-                ("address", "nervous"),
-            )
-        ),
+        *at_night(("all", ""), ("all", "gaussian"), ("address", ""), ("all", "nervous"), ("address", "nervous")),
     ],
 )
 def test_records_are_those_of_flights_from_take_off(which, arm):
@@ -77,13 +69,14 @@ def test_records_are_those_of_flights_from_take_off(which, arm):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_faults_in_a_flight_with_an_estimator_start_at_checkpoints_too():
     fast, slow = both_ways(drawn("all", 4, 1, localization="estimator"), localization="estimator")
     assert fast == slow
     assert len({record.kernel.effect for record in slow}) >= 2
 
 
-@pytest.mark.parametrize("which", ["all", pytest.param("address", marks=pytest.mark.long)])
+@pytest.mark.parametrize("which", ["all", *at_night("address")])
 def test_runs_with_detectors_that_follow_from_those_without_are_the_same(which):
     faults, flown, makers = drawn(which, 4), scenario(), {**ARMS, "autoencoder": autoencoder}
     del makers[""]
@@ -122,13 +115,7 @@ def test_what_earlier_scans_left_in_work_arrays_is_there_after_a_jump(monkeypatc
     assert both_ways(reading, goal=FAR_GOAL)[0] != slow
 
 
-@pytest.mark.parametrize(
-    "policy",
-    [
-        "readback",
-        pytest.param("end", marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.parametrize("policy", ["readback", *at_night("end")])
 def test_nodes_that_die_come_back_as_after_a_flight_from_take_off(policy):
     dying = [fault for fault in drawn("address", 4) if fault.kernel in ("rrt_connect", "collision_check", "pid")]
     fast, slow = both_ways(dying, dead_node=policy)
@@ -143,7 +130,7 @@ def test_a_fault_without_a_site_or_beyond_the_last_call_is_not_activated():
     assert [record.kernel.effect for record in fast] == ["not_activated"] * 2
 
 
-@pytest.mark.parametrize("case", ["octree", "rrt_star", "restarts", "no fast-forward"])
+@pytest.mark.parametrize("case", ["restarts", *at_night("octree", "rrt_star", "no fast-forward")])
 def test_what_cannot_be_forwarded_is_flown_from_take_off(case, monkeypatch):
     monkeypatch.setattr(mission_flights, "fly_from_checkpoints", None)
     options = {"octree": {"map": "octree"}, "rrt_star": {"planner": "rrt_star"}}.get(case, {})

@@ -10,12 +10,11 @@ from mavfi.analysis.runs import Runs
 from mavfi.analysis.views import table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.detectors import load_detector
 from mavfi.detectors.acceptance import AcceptanceTest
 from mavfi.detectors.detector import Chain, part_of
 from mavfi.detectors.gate import SOURCE as GATE
 from mavfi.detectors.preprocess import PROFILES
-from mavfi.detectors.registry import check_kernel, contains
+from mavfi.detectors.registry import check_kernel, contains, load_detector
 from mavfi.errors import BadInputError
 from mavfi.flight.compose import detector_for, new_loop, resolve, watch
 from mavfi.flight.from_take_off import fly_instruction_faults
@@ -27,6 +26,7 @@ from mavfi.states import DETECTORS, new_state
 from tests.campaigns import run_campaign
 from tests.core.unit.detectors.streams import LIMITS, command
 from tests.core.unit.detectors.test_registry import FITS
+from tests.night import at_night
 
 
 def detector(name, profile="paper"):
@@ -106,9 +106,7 @@ def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(pol
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["gaussian", *(pytest.param(name, marks=pytest.mark.long) for name in ("acceptance", "limits", "checksum"))]
-)
+@pytest.mark.parametrize("name", ["gaussian", *at_night("acceptance", "limits", "checksum")])
 def test_a_flight_continues_whatever_becomes_of_its_detector(name):
     scenario = resolve(MissionSpec(environment="sparse", seed=7, dead_node="readback"))
     watching, _ = detector_for(scenario, name, "paper")

@@ -23,12 +23,13 @@ def only(detector: str, kernel: str) -> Campaign:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "campaign",
     [
         only("recommended", "acceptance"),
-        pytest.param(only("limits", "limits"), marks=pytest.mark.long),
-        *(pytest.param(load_campaign(name), marks=pytest.mark.long) for name in ("kernels", "detector_instructions")),
+        only("limits", "limits"),
+        *(load_campaign(name) for name in ("kernels", "detector_instructions")),
     ],
     ids=lambda campaign: campaign.name,
 )

@@ -93,6 +93,7 @@ def test_a_detector_is_called_by_its_class_or_the_source_of_its_alarms(name):
     assert flown[0] == flown[1]
 
 
+@pytest.mark.long
 def test_a_dead_flight_controller_stops_the_rotors_until_it_is_back():
     mission = scenario(**MISSION)
     wish = InstructionRequest({"flight_controller": 30}, which="address", restart_s=0.2)

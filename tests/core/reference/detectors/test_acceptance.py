@@ -28,8 +28,8 @@ class Twin:
 
     def note_trajectory(self, number, points):
         if len(points):
-            kept = [item for item in self.trajectories.items() if item[0] != number][1 - acceptance.KEPT :]
-            self.trajectories = dict([*kept, (number, points)])
+            newest = [item for item in self.trajectories.items() if item[0] != number][1 - acceptance.KEPT :]
+            self.trajectories = dict([*newest, (number, points)])
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,8 @@ def test_counters_that_a_path_can_answer(record, notes):
 def test_points_of_the_last_trajectories(record, notes):
     twin, state, blocks = Twin(), new_state("planning.trajectory"), np.zeros((acceptance.KEPT, 5, 11))
     acceptance.forget(record)
-    for place, (number, count) in enumerate(notes):
-        points = np.full((count, 11), float(place))
+    for number_of_note, (number, count) in enumerate(notes):
+        points = np.full((count, 11), float(number_of_note))
         state.header["trajectory_seq"] = number
         acceptance.note_trajectory(state.header, points, record, blocks)
         twin.note_trajectory(number, points)

@@ -24,7 +24,7 @@ def test_weights_do_not_depend_on_the_last_digits_of_training(network):
     disturbed = copy.deepcopy(network)
     for part in (disturbed.coefs_, disturbed.intercepts_):
         part[:] = [layer * (1.0 + noise.uniform(-1e-13, 1e-13, layer.shape)) for layer in part]
-    assert any(np.any(one != other) for one, other in zip(network.coefs_, disturbed.coefs_, strict=True))
+    assert any(np.any(weights != other) for weights, other in zip(network.coefs_, disturbed.coefs_, strict=True))
     assert np.array_equal(autoencoder.export(disturbed, np.ones(13)).weights, exported)
 
 

@@ -36,8 +36,8 @@ def naive(new, elapsed, fix):
         return "position"
     if (new[:3] == fix).all():
         return None
-    one, other = (Rotation.from_quat(values[ATTITUDE:], scalar_first=True) for values in (LAST, new))
-    half = 0.5 * (one.inv() * other).magnitude()
+    last, other = (Rotation.from_quat(values[ATTITUDE:], scalar_first=True) for values in (LAST, new))
+    half = 0.5 * (last.inv() * other).magnitude()
     if not np.sin(half) <= 0.5 * (TURN + WIDE * elapsed):
         return "attitude"
     grown = np.abs(new - LAST)[VELOCITY:ATTITUDE]
@@ -76,6 +76,6 @@ def test_an_estimate_is_judged_as_by_the_twin(rule, shift, scale, turn, length, 
         rule.accept(state, NOW)
     state = new_state(ESTIMATE)
     floats(state.header, WIDTH)[:] = new
-    found = estimates.judge_estimate(bytes_of(state.header), NOW + elapsed_us, rule.estimate)
+    verdict = estimates.judge_estimate(bytes_of(state.header), NOW + elapsed_us, rule.estimate)
     expected = naive(new, 1e-6 * elapsed_us, fix)
-    assert (None if found < 0 else group(found)) == expected
+    assert (None if verdict < 0 else group(verdict)) == expected

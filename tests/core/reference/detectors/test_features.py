@@ -40,25 +40,25 @@ FIELDS = {
 
 @pytest.mark.parametrize("name", FIELDS)
 def test_paper_deltas(recording, name):
-    found = deltas(recording, "paper", name)
+    measured = deltas(recording, "paper", name)
     for index, field in enumerate(FIELDS[name]):
         expected = np.diff(code(column(recording, name, field), THRESHOLDS.get(field, -2)))
-        assert found[:, index].tolist() == expected.tolist()
+        assert measured[:, index].tolist() == expected.tolist()
 
 
 def test_tuned_deltas_of_commands(recording):
-    found = deltas(recording, "tuned", "control.command")
+    measured = deltas(recording, "tuned", "control.command")
     for index, field in enumerate(FIELDS["control.command"]):
         expected = code(np.diff(column(recording, "control.command", field)), -3)
-        assert found[:, index].tolist() == expected.tolist()
+        assert measured[:, index].tolist() == expected.tolist()
 
 
 def test_tuned_deltas_of_positions_are_innovations(recording):
-    found = deltas(recording, "tuned", "planning.waypoint")
+    measured = deltas(recording, "tuned", "planning.waypoint")
     seq = column(recording, "planning.waypoint", "trajectory_seq")
     same = seq[1:] == seq[:-1]
     assert 0 < same.sum() < len(same)
     assert training.innovations(recording)["interval"].shape == (same.sum(), 3)
     expected = code(training.innovations(recording)["interval"], -3)
-    assert found[same, :3].tolist() == expected.tolist()
-    assert np.abs(found[same, :3]).max() == 0
+    assert measured[same, :3].tolist() == expected.tolist()
+    assert np.abs(measured[same, :3]).max() == 0

@@ -36,15 +36,15 @@ def intervals(grid, a, b):
     ordered = sorted(share for share in shares if 0.0 <= share <= 1.0)
     if len(ordered) == 1:
         ordered = [0.0, 0.0]
-    found = []
+    crossed = []
     for first, last in zip(ordered[:-1], ordered[1:], strict=True):
         middle = start + (end - start) * 0.5 * (first + last)
         cell = tuple(math.floor(value) for value in middle)
         inside = all(0 <= i < n for i, n in zip(cell, (grid.nx, grid.ny, grid.nz), strict=True))
-        found.append((first, last - first, cell if inside else None))
+        crossed.append((first, last - first, cell if inside else None))
     if not np.any(end != start):
-        found = [(0.0, 0.0, cell_of(grid, a))]
-    return found
+        crossed = [(0.0, 0.0, cell_of(grid, a))]
+    return crossed
 
 
 def first_blocked(counter, grid, a, b, outside_blocked):
@@ -165,7 +165,7 @@ def known_free_distance(counter, cells, grid, points, first, horizon, reach, esc
     for a, b in zip(points[:-1, :3], points[1:, :3], strict=True):
         arcs.append(arcs[-1] + math.dist(a, b))
     shape = (grid.nx, grid.ny, grid.nz)
-    known = cells.reshape(shape)
+    known_cells = cells.reshape(shape)
     unknown, leading, before = math.inf, escaping, "none"
     for i in range(first, len(points)):
         cell = cell_of(grid, points[i, :3])
@@ -175,14 +175,14 @@ def known_free_distance(counter, cells, grid, points, first, horizon, reach, esc
         if cell is None:
             return arcs[i], unknown
         if counter[flat(grid, cell)] > 0:
-            near = arcs[i] < 1.5 and (known[cell] != 2 or arcs[i] < 0.5)
+            near = arcs[i] < 1.5 and (known_cells[cell] != 2 or arcs[i] < 0.5)
             if not (leading and near):
                 return arcs[i], unknown
             unknown = min(unknown, arcs[first])
             continue
         leading = False
         box = tuple(slice(max(c - r, 0), c + r + 1) for c, r in zip(cell, (reach, reach, 1), strict=True))
-        if arcs[i] - arcs[first] < horizon and (known[box] == 0).any():
+        if arcs[i] - arcs[first] < horizon and (known_cells[box] == 0).any():
             unknown = min(unknown, arcs[i])
     return math.inf, unknown
 
@@ -199,7 +199,7 @@ def nearest_clear(blocked, check, core, grid, point, lower, upper, radius):
         return None
     if np.all(point >= lower) and np.all(point <= upper) and blocked[flat(grid, here)] == 0:
         return 0.0
-    found = []
+    candidates = []
     for cell in np.ndindex(grid.nx, grid.ny, grid.nz):
         centre = np.array([grid.x0, grid.y0, grid.z0]) + (np.array(cell) + 0.5) / grid.inverse
         away = math.dist(point, centre)
@@ -207,8 +207,8 @@ def nearest_clear(blocked, check, core, grid, point, lower, upper, radius):
             continue
         in_the_way = core if check[flat(grid, here)] > 0 else check
         if first_blocked(in_the_way, grid, point, centre, True) > 1.0:
-            found.append(away)
-    return min(found, default=None)
+            candidates.append(away)
+    return min(candidates, default=None)
 
 
 def tight_share(wide, grid, a, b):

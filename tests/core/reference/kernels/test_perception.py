@@ -196,8 +196,8 @@ def test_a_corrupted_point_is_blocked_where_the_last_usable_one_lies(value):
     points[:, 0] = 0.1 * np.arange(10)
     points[:, 2] = 1.0
     points[7, 0] = value
-    free, known = np.zeros(grid.size, np.int16), np.ones(grid.size, np.uint8)
-    blocked, unknown = collision_check.known_free_distance(free, known, grid, points, 0, 9.0, 1, False)
+    free, known_cells = np.zeros(grid.size, np.int16), np.ones(grid.size, np.uint8)
+    blocked, unknown = collision_check.known_free_distance(free, known_cells, grid, points, 0, 9.0, 1, False)
     assert blocked == pytest.approx(0.6 if not abs(value) < 1e100 else value)
     assert unknown == np.inf
 

@@ -21,12 +21,12 @@ def test_the_nearest_clear_place_is_that_of_a_full_search(share):
         check = blocked * scenes.counter(random, 0.3)
         core = check * scenes.counter(random, 0.5)
         point, result = scenes.point(random, 0.3), np.empty(3)
-        found = paths.nearest_clear(blocked, check, core, GRID, point, lower, upper, 1.6, result)
+        is_clear = paths.nearest_clear(blocked, check, core, GRID, point, lower, upper, 1.6, result)
         expected = naive.nearest_clear(blocked, check, core, GRID, point, lower, upper, 1.6)
-        assert found == (expected is not None)
-        if found:
+        assert is_clear == (expected is not None)
+        if is_clear:
             assert paths.distance(point, result) == pytest.approx(expected, abs=1e-9)
-        outcomes.add(found)
+        outcomes.add(is_clear)
     assert outcomes == {True, False} or share < 0.9
 
 

@@ -123,23 +123,23 @@ def test_the_row_of_the_heading_is_its_derivative():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, -1e300, 200.0])
-@pytest.mark.parametrize("place", range(6))
-def test_a_sample_that_no_sensor_gives_is_not_usable(place, value):
+@pytest.mark.parametrize("index", range(6))
+def test_a_sample_that_no_sensor_gives_is_not_usable(index, value):
     sample = np.array([0.0, 0.0, 9.8, 0.1, 0.2, 0.3])
     assert filtering.usable_sample(sample)
-    sample[place] = value
+    sample[index] = value
     assert not filtering.usable_sample(sample)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, 1e300])
-@pytest.mark.parametrize("place", range(4))
-def test_a_fix_that_is_no_place_is_not_usable_and_would_be_refused(place, value):
+@pytest.mark.parametrize("index", range(4))
+def test_a_fix_that_is_no_place_is_not_usable_and_would_be_refused(index, value):
     nominal, covariance = hovering(0.3), covariance_of()
     fix = np.array([0.0, 0.0, 0.0, 0.3])
     assert filtering.usable_fix(fix)
-    fix[place] = value
+    fix[index] = value
     assert not filtering.usable_fix(fix)
-    if place < 3 or not np.isfinite(value):
+    if index < 3 or not np.isfinite(value):
         before = nominal.copy(), covariance.copy()
         assert not filtering.correct(nominal, covariance, fix, AIRSIM) <= filtering.GATE
         np.testing.assert_array_equal(nominal, before[0])

@@ -16,9 +16,9 @@ def test_the_walk_enters_the_first_blocked_voxel_where_the_exact_crossings_say(s
         if random.random() < 0.2:
             b[random.integers(3)] = a[random.integers(3)]
         expected = naive.first_blocked(counter, scenes.GRID, a, b, outside)
-        found = first_blocked(counter, scenes.GRID, a, b, outside)
-        assert found == pytest.approx(expected, abs=1e-9)
-        blocked += found < FREE
+        fraction = first_blocked(counter, scenes.GRID, a, b, outside)
+        assert fraction == pytest.approx(expected, abs=1e-9)
+        blocked += fraction < FREE
     assert (0 < blocked < 300) or (share == 0.0 and not outside)
 
 

@@ -15,12 +15,13 @@ from mavfi.pipeline.maps import DenseMap, OctreeMap
 from mavfi.states import floats
 from tests.core.flights.missions import mission
 from tests.core.reference.octomap import trees
+from tests.night import at_night
 
 os.environ["OMP_NUM_THREADS"] = "1"  # the library inserts with OpenMP
 library = pytest.importorskip("octomap", reason="the oracle of the map is the package octomap-python")
 
 RANGE = 20.0
-RESOLUTIONS = (0.5, 0.25)
+RESOLUTIONS = (0.5, *at_night(0.25))
 SHORT = {"start": (2.0, 0.0, 3.0), "goal": (16.0, 0.0, 3.0)}
 WHOLE = [  # the short one; at night the worlds of the paper
     ("sparse", "hardened", 0, 0.5, SHORT),
@@ -90,9 +91,9 @@ def assert_equal_maps(ours, dense, theirs, frame):
     assert trees.tree_data(ours.tree) == data
     assert ours.tree.counters[octree.NODES] == theirs.size() == theirs.calcNumNodes() == len(data) // 5
     expected = trees.dense_from(data, frame)
-    known = ~np.isnan(expected)
+    known_cells = ~np.isnan(expected)
     assert np.nan_to_num(expected).tobytes() == dense.log_odds.tobytes() == ours.log_odds.tobytes()
-    return int(known.sum())
+    return int(known_cells.sum())
 
 
 @pytest.mark.slow
@@ -102,14 +103,14 @@ def test_both_maps_equal_the_library_after_each_scan(resolution):
     frame = frame_of(scans, resolution)
     ours, dense = OctreeMap(frame, trees.RULE, RANGE), DenseMap(frame, trees.RULE, RANGE)
     theirs = library_tree(resolution)
-    known = [0]
+    known_cells = [0]
     for points, origin in scans:
         voxels, after = ours.insert(points, origin)
         dense_voxels, dense_after = dense.insert(points, origin)
         assert voxels.tobytes() == dense_voxels.tobytes() and after.tobytes() == dense_after.tobytes()
         feed(theirs, points, origin)
-        known.append(assert_equal_maps(ours, dense, theirs, frame))
-        assert known[-1] > known[-2]
+        known_cells.append(assert_equal_maps(ours, dense, theirs, frame))
+        assert known_cells[-1] > known_cells[-2]
     depth, pruned = trees.depth_of(nodes_of(theirs))
     assert depth == theirs.getTreeDepth() == octree.DEPTH and pruned > 20
 
@@ -126,8 +127,8 @@ def test_each_value_that_is_found_is_the_librarys():
             expected = node.getValue()
         except library.NullPointerException:
             expected = np.nan
-        found = octree.search(ours.tree, *(int(k) for k in np.floor(point / 0.5)))
-        assert found == expected or np.isnan(found) and np.isnan(expected)
+        value = octree.search(ours.tree, *(int(k) for k in np.floor(point / 0.5)))
+        assert value == expected or np.isnan(value) and np.isnan(expected)
 
 
 @pytest.mark.slow

@@ -46,16 +46,16 @@ def test_the_octree_equals_plain_objects_node_by_node(updates):
     assert tree_data(tree) == twin.data()
     assert tree.counters[octree.NODES] == len(twin.data()) // 5
     for key in {key for key, _ in updates} | {(0, 0, 0), (5, 5, 5)}:
-        node, found = twin.search(key), octree.search(tree, *key)
-        assert np.isnan(found) if node is None else found == node.value
+        node, value = twin.search(key), octree.search(tree, *key)
+        assert np.isnan(value) if node is None else value == node.value
     used, free = tree.counters[octree.USED], tree.counters[octree.FREE_COUNT]
     assert max(tree.counters[octree.NODES], 1) == used - free
 
 
 @given(sequences, st.lists(sequences, min_size=1, max_size=3))
-def test_rolling_back_restores_every_bit_and_the_same_updates_give_the_same_bits(kept, tries):
+def test_rolling_back_restores_every_bit_and_the_same_updates_give_the_same_bits(committed, tries):
     tree = grown()
-    apply(tree, kept)
+    apply(tree, committed)
     before, kept_copy = held(tree), octree.compact_copy(tree)
     for updates in tries:
         apply(tree, updates)

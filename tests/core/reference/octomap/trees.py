@@ -66,16 +66,16 @@ class NaiveOctree:
 
     def data(self):
         """All nodes in the order and coding of a `.ot` file."""
-        parts = []
+        lines = []
 
         def write(node):
-            parts.append(struct.pack("<fB", node.value, sum(1 << slot for slot in node.children)))
+            lines.append(struct.pack("<fB", node.value, sum(1 << slot for slot in node.children)))
             for slot in sorted(node.children):
                 write(node.children[slot])
 
         if self.root is not None:
             write(self.root)
-        return b"".join(parts)
+        return b"".join(lines)
 
 
 def _slot(key, level):

@@ -27,12 +27,12 @@ def solved(points, times, velocity, acceleration):
 
 def polynomials(points, times, ends):
     """Coefficients in seconds, with the position of the start. Shape (segments, 8, 3)."""
-    found = np.zeros((len(times), 8, 3))
+    coefficients = np.zeros((len(times), 8, 3))
     for k, time in enumerate(times):
-        minimum_snap.coefficients(ends, k, time, found[k])
-        found[k] /= time ** np.arange(8)[:, None]
-        found[k, 0] += points[k]
-    return found
+        minimum_snap.coefficients(ends, k, time, coefficients[k])
+        coefficients[k] /= time ** np.arange(8)[:, None]
+        coefficients[k, 0] += points[k]
+    return coefficients
 
 
 def row(time, order):
@@ -85,13 +85,15 @@ def test_samples_are_the_curve_at_equal_times():
     ends = solved(points, times, velocity, acceleration)
     dense = np.zeros((2000, 11))
     count = minimum_snap.sample(ends, times, 6, 0.02, 3.0, np.nan, 1.5, dense)
-    found, instants = polynomials(points, times, ends), np.concatenate([[0.0], np.cumsum(times)])
+    coefficients, instants = polynomials(points, times, ends), np.concatenate([[0.0], np.cumsum(times)])
     assert count == int(np.ceil(instants[-1] / 0.02)) + 1
     for n in range(count - 1):
         k = int(np.searchsorted(instants, 0.02 * n + 1e-12, side="right")) - 1
         late = 0.02 * n - instants[k]
         for order, first in ((0, 0), (1, 4), (2, 7)):
-            np.testing.assert_allclose(dense[n, first : first + 3], row(late, order) @ found[k], rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(
+                dense[n, first : first + 3], row(late, order) @ coefficients[k], rtol=1e-6, atol=1e-6
+            )
     np.testing.assert_array_equal(dense[count - 1, :3], points[-1])
     np.testing.assert_array_equal(dense[count - 1, 4:10], 0.0)
 

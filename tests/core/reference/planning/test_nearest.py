@@ -56,12 +56,12 @@ def test_the_index_finds_the_nodes_in_a_ball(name, radius):
     random = np.random.default_rng(4)
     nodes = clouds(name, random, 1500)
     index = index_of(nodes)
-    found, other = np.zeros(len(nodes), np.int32), np.zeros(len(nodes), np.int32)
+    indexed, other = np.zeros(len(nodes), np.int32), np.zeros(len(nodes), np.int32)
     for turn, target in enumerate(clouds(name, random, 60)):
         count = min(1 + 40 * turn, len(nodes))
-        n = nearest.scan_ball(nodes, count, target, radius, found)
+        n = nearest.scan_ball(nodes, count, target, radius, indexed)
         m = nearest.search_ball(index, nodes, count, target, radius, other)
-        assert sorted(found[:n]) == sorted(other[:m])
+        assert sorted(indexed[:n]) == sorted(other[:m])
         away = np.sqrt(((nodes[:count] - target) ** 2).sum(1))
         assert n == (away <= radius).sum()
 

@@ -6,26 +6,24 @@ import numpy as np
 import pytest
 
 from benchmarks import planners
+from tests.night import at_night
 
 pytest.importorskip("ompl", reason="OMPL (package `ompl`) is not installed; it comes with the extra `dev`")
 
 RRT, CONNECT, STAR = planners.Search(4.0, 10_000), planners.Search(4.0, 4000), planners.Search(8.0, 1500)
-at_night = pytest.mark.long
-CASES = [  # the last number: the factor within which the medians agree
+CASES = at_night(  # the last number: the factor within which the medians agree
+    ("rrt", "dense", RRT, 600, 1.05),
+    ("rrt", "factory", RRT, 1600, 1.05),
     ("rrt_connect", "dense", CONNECT, 200, 1.1),
-    ("rrt_star", "dense", STAR, 20, 1.05),
-    pytest.param("rrt", "dense", RRT, 600, 1.05, marks=at_night),
-    pytest.param("rrt", "factory", RRT, 1600, 1.05, marks=at_night),
-    pytest.param("rrt_connect", "dense", CONNECT, 600, 1.05, marks=at_night),
-    pytest.param("rrt_connect", "factory", CONNECT, 1600, 1.05, marks=at_night),
-    pytest.param("rrt_star", "dense", STAR, 50, 1.05, marks=at_night),
-    pytest.param("rrt_star", "factory", planners.Search(8.0, 2500), 80, 1.05, marks=at_night),
-]
-SCARCE = [
-    pytest.param("rrt", planners.Search(4.0, 450), 1200, marks=at_night),
-    pytest.param("rrt_connect", planners.Search(4.0, 350), 1200, marks=at_night),
-    pytest.param("rrt_star", planners.Search(8.0, 450), 1200, marks=at_night),
-]
+    ("rrt_connect", "factory", CONNECT, 1600, 1.05),
+    ("rrt_star", "dense", STAR, 50, 1.05),
+    ("rrt_star", "factory", planners.Search(8.0, 2500), 80, 1.05),
+)
+SCARCE = at_night(
+    ("rrt", planners.Search(4.0, 450), 1200),
+    ("rrt_connect", planners.Search(4.0, 350), 1200),
+    ("rrt_star", planners.Search(8.0, 450), 1200),
+)
 """Budgets with which about half of the runs find a path."""
 
 
@@ -62,5 +60,5 @@ def test_a_scarce_budget_finds_as_many_paths_as_with_ompl(name, search, seeds):
 
 def test_ompl_takes_as_many_samples_as_it_is_given():
     search = planners.Search(8.0, 300)
-    found = planners.theirs("rrt_star", "dense", 0, search, 0)
-    assert found.samples == search.iterations
+    plan = planners.theirs("rrt_star", "dense", 0, search, 0)
+    assert plan.samples == search.iterations

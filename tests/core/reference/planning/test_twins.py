@@ -25,9 +25,9 @@ def problem(seed, share=0.22):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_rrt_grows_the_same_tree(seed):
-    given, tree, path = problem(seed), rrt.new_tree(BUDGET + 1), np.zeros((BUDGET + 1, 3))
-    count = rrt.plan(*given, STEP, BIAS, BUDGET, seed_generator(seed), tree, path)
-    nodes, parents, goal = twins.rrt(given, STEP, BIAS, BUDGET, seed_generator(seed))
+    arguments, tree, path = problem(seed), rrt.new_tree(BUDGET + 1), np.zeros((BUDGET + 1, 3))
+    count = rrt.plan(*arguments, STEP, BIAS, BUDGET, seed_generator(seed), tree, path)
+    nodes, parents, goal = twins.rrt(arguments, STEP, BIAS, BUDGET, seed_generator(seed))
     np.testing.assert_array_equal(tree.nodes[: len(nodes)], nodes)
     np.testing.assert_array_equal(tree.parents[: len(nodes)], parents)
     assert (count > 0) == (goal is not None)
@@ -40,10 +40,10 @@ def test_rrt_grows_the_same_tree(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_rrt_connect_grows_the_same_trees(seed):
-    given, trees = problem(seed), rrt_connect.new_trees()
+    arguments, trees = problem(seed), rrt_connect.new_trees()
     path = np.zeros((2 * rrt_connect.NODE_LIMIT, 3))
-    count = rrt_connect.plan(*given, STEP, BUDGET, seed_generator(seed), trees, path)
-    *expected, met = twins.rrt_connect(given, STEP, BUDGET, seed_generator(seed))
+    count = rrt_connect.plan(*arguments, STEP, BUDGET, seed_generator(seed), trees, path)
+    *expected, met = twins.rrt_connect(arguments, STEP, BUDGET, seed_generator(seed))
     for which, nodes in enumerate(expected):
         assert trees.counts[which] == len(nodes)
         np.testing.assert_array_equal(trees.nodes[which, : len(nodes)], nodes)
@@ -52,9 +52,9 @@ def test_rrt_connect_grows_the_same_trees(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_rrt_star_grows_the_same_tree_with_the_same_costs(seed):
-    given, tree, path = problem(seed), rrt_star.new_tree(BUDGET + 1), np.zeros((BUDGET + 1, 3))
-    count = rrt_star.plan(*given, STEP, BIAS, BUDGET, BUDGET, seed_generator(seed), tree, path)
-    twin = twins.StarTwin(given, STEP, BIAS, seed_generator(seed))
+    arguments, tree, path = problem(seed), rrt_star.new_tree(BUDGET + 1), np.zeros((BUDGET + 1, 3))
+    count = rrt_star.plan(*arguments, STEP, BIAS, BUDGET, BUDGET, seed_generator(seed), tree, path)
+    twin = twins.StarTwin(arguments, STEP, BIAS, seed_generator(seed))
     for _ in range(BUDGET):
         twin.step()
     n = len(twin.nodes)
@@ -67,12 +67,12 @@ def test_rrt_star_grows_the_same_tree_with_the_same_costs(seed):
 
 @pytest.mark.slow
 def test_large_trees_are_the_same_that_take_their_nearest_nodes_from_the_index():
-    given, path = problem(7, 0.05), np.zeros((901, 3))
+    arguments, path = problem(7, 0.05), np.zeros((901, 3))
     plain, star = rrt.new_tree(901), rrt_star.new_tree(901)
-    rrt.plan(*given, STEP, 0.0, 900, seed_generator(7), plain, path)
-    rrt_star.plan(*given, STEP, 0.0, 900, 900, seed_generator(7), star, path)
-    nodes, parents, _ = twins.rrt(given, STEP, 0.0, 900, seed_generator(7))
-    twin = twins.StarTwin(given, STEP, 0.0, seed_generator(7))
+    rrt.plan(*arguments, STEP, 0.0, 900, seed_generator(7), plain, path)
+    rrt_star.plan(*arguments, STEP, 0.0, 900, 900, seed_generator(7), star, path)
+    nodes, parents, _ = twins.rrt(arguments, STEP, 0.0, 900, seed_generator(7))
+    twin = twins.StarTwin(arguments, STEP, 0.0, seed_generator(7))
     for _ in range(900):
         twin.step()
     assert len(nodes) > 2 * PAYS_FROM and len(twin.nodes) > 2 * PAYS_FROM
@@ -86,20 +86,20 @@ def test_problems_of_both_kinds_are_among_them():
 
 
 def test_rrt_star_continues_to_the_first_path_where_the_budget_finds_none():
-    given, path = problem(2, 0.25), np.zeros((3001, 3))
+    arguments, path = problem(2, 0.25), np.zeros((3001, 3))
     tree = rrt_star.new_tree(3001)
-    assert rrt_star.plan(*given, STEP, BIAS, 20, 20, seed_generator(1), tree, path) == 0
-    assert rrt_star.plan(*given, STEP, BIAS, 20, 3000, seed_generator(1), tree, path) > 0
+    assert rrt_star.plan(*arguments, STEP, BIAS, 20, 20, seed_generator(1), tree, path) == 0
+    assert rrt_star.plan(*arguments, STEP, BIAS, 20, 3000, seed_generator(1), tree, path) > 0
     assert 20 < tree.state[2] < 3000
     nodes, goal = tree.state[:2]
     assert goal == nodes - 1
 
 
 def test_a_full_tree_ends_a_search():
-    given, path = problem(0, 0.3), np.zeros((50, 3))
-    assert rrt.plan(*given, STEP, 0.0, 10_000, seed_generator(1), rrt.new_tree(50), path) == 0
+    arguments, path = problem(0, 0.3), np.zeros((50, 3))
+    assert rrt.plan(*arguments, STEP, 0.0, 10_000, seed_generator(1), rrt.new_tree(50), path) == 0
     tree = rrt_star.new_tree(50)
-    assert rrt_star.plan(*given, STEP, 0.0, 10_000, 20_000, seed_generator(1), tree, path) == 0
+    assert rrt_star.plan(*arguments, STEP, 0.0, 10_000, 20_000, seed_generator(1), tree, path) == 0
     assert tree.state[0] == 50
 
 
@@ -107,12 +107,12 @@ def test_a_full_tree_ends_a_search():
 def test_what_was_in_the_memory_before_does_not_matter(name):
     kernel = {"rrt": rrt, "rrt_star": rrt_star}[name]
     budget = (BUDGET,) if name == "rrt" else (BUDGET, BUDGET)
-    found = []
+    results = []
     for filling in (0, 77):
         tree, path = kernel.new_tree(BUDGET + 1), np.zeros((BUDGET + 1, 3))
         for array in tree:
             for part in array if isinstance(array, tuple) else [array]:
                 part.fill(filling)
         count = kernel.plan(*problem(3), STEP, BIAS, *budget, seed_generator(3), tree, path)
-        found.append(path[:count].tobytes())
-    assert found[0] == found[1]
+        results.append(path[:count].tobytes())
+    assert results[0] == results[1]

@@ -36,14 +36,14 @@ def mujoco_ranges(model, data, origin, directions, limit=RANGE):
 def poses(world, count, seed):
     """Free places with any heading and tilts of up to about 30 degrees."""
     stream = np.random.default_rng(seed)
-    found = []
-    while len(found) < count:
+    drawn = []
+    while len(drawn) < count:
         position = stream.uniform(world.flight_lower, world.flight_upper)
         if world.clearance(position)[0] > 0.35:
             quaternion = np.array([1.0, 0.0, 0.0, 0.0]) + np.append(0.0, stream.uniform(-0.3, 0.3, 3))
             quaternion[3] += stream.uniform(-2.0, 2.0)
-            found.append(np.concatenate([position, quaternion / np.linalg.norm(quaternion)]))
-    return found
+            drawn.append(np.concatenate([position, quaternion / np.linalg.norm(quaternion)]))
+    return drawn
 
 
 def world_directions(pose, directions):
@@ -100,6 +100,6 @@ def test_voxels_equal_the_rays_of_mujoco_on_boxes(seed):
         expected = mujoco_ranges(model, data, pose[:3], directions)
         assert np.isfinite(expected).all()
         np.testing.assert_allclose(camera.capture(pose, 0), expected, atol=1e-5)
-        place = tuple(pose[:3] - world.origin)
-        exact = [voxel_distance_along(world.occupied, world.resolution, place, tuple(d), RANGE) for d in directions]
+        position = tuple(pose[:3] - world.origin)
+        exact = [voxel_distance_along(world.occupied, world.resolution, position, tuple(d), RANGE) for d in directions]
         np.testing.assert_allclose(exact, expected, atol=1e-9)

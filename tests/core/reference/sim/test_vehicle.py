@@ -121,10 +121,10 @@ def test_a_small_velocity_step_is_that_of_the_linear_cascade(lag):
     system[0, 1], system[1, 2], system[2, 3] = GRAVITY, 1.0, 1.0
     system[3] = torque / delay - np.array([0.0, 0.0, 0.0, 1.0 / delay])
     end = np.array([step, 0.0, 0.0, 0.0])
-    one = expm(system * 1e-6 * STEP_US)
+    transition = expm(system * 1e-6 * STEP_US)
     state, expected = -end, []
     for _ in time:
-        state = one @ state
+        state = transition @ state
         expected.append(step + state[0])
     np.testing.assert_allclose(rows[:, 3], expected, atol=0.01 * step)
 

@@ -11,18 +11,18 @@ def described(**changes):
 
 
 def test_faults_in_states_and_instructions():
-    found = described(sampling={"strata": {"sign_exponent": 2}}, mission={"v_max": 4.5})
-    assert found["title"] == "campaign tiny · autopilot profile published · i9-9940x · rrt_connect · 4.5 m/s"
-    [line] = found["lines"]
+    description = described(sampling={"strata": {"sign_exponent": 2}}, mission={"v_max": 4.5})
+    assert description["title"] == "campaign tiny · autopilot profile published · i9-9940x · rrt_connect · 4.5 m/s"
+    [line] = description["lines"]
     assert line.startswith("9 missions per environment (seeds 10000 to 10008), 9 faults per stage")
     assert line.endswith("drawn sign + exponent 2, fields: all")
-    assert (found["profile"], found["each"]) == ("published", "stage")
-    found = described(
+    assert (description["profile"], description["each"]) == ("published", "stage")
+    description = described(
         sampling={"level": "instruction", "kernels": ["pid"], "share": "kernel"},
         mission={"autopilot": "hardened", "dead_node": "readback"},
     )
-    assert (found["profile"], found["each"], found["kernels"]) == ("hardened", "kernel", ["pid"])
-    assert found["lines"][-1] == "mission: dead_node readback", "what differs from the defaults"
+    assert (description["profile"], description["each"], description["kernels"]) == ("hardened", "kernel", ["pid"])
+    assert description["lines"][-1] == "mission: dead_node readback", "what differs from the defaults"
 
 
 def test_arms_say_what_differs():

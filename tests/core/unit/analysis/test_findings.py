@@ -19,36 +19,36 @@ from tests.core.unit.analysis.handmade import (
 HALF = "50.0 % [9.5, 90.5]"
 
 
-def figures_of(runs, *words):
+def figures_of(runs, *texts):
     """The one sentence with these words."""
-    [sentence] = [sentence for sentence in findings(runs) if all(word in sentence for word in words)]
+    [sentence] = [sentence for sentence in findings(runs) if all(word in sentence for word in texts)]
     return sentence
 
 
 def test_figures_are_those_of_the_frame(fake):
     assert len(findings(fake)) == MAX_SENTENCES
     assert "newly loses 0" in figures_of(fake, "gaussian brings back")
-    own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
-    assert f"{HALF} (n = 2)" in figures_of(own, "loses 1 of 2", "saves 0")
-    assert figures_of(own, "bit for bit", "silently").count(HALF) == 2
+    campaign_runs = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
+    assert f"{HALF} (n = 2)" in figures_of(campaign_runs, "loses 1 of 2", "saves 0")
+    assert figures_of(campaign_runs, "bit for bit", "silently").count(HALF) == 2
 
 
 def test_kernels_that_die_are_said():
-    own = runs(golden(1), golden(2), injected(1, died(), INSTRUCTION), injected(2, GOLDEN, INSTRUCTION))
-    assert f"{HALF} (n = 2)" in figures_of(own, "1 of 2", "ended the mission")
+    campaign_runs = runs(golden(1), golden(2), injected(1, died(), INSTRUCTION), injected(2, GOLDEN, INSTRUCTION))
+    assert f"{HALF} (n = 2)" in figures_of(campaign_runs, "1 of 2", "ended the mission")
 
 
 def test_stages_are_ordered_by_harm_each_with_its_n():
     lost, late = (injected(seed, flown(success=False), target="a") for seed in (1, 2))
     control = replace(FAULT, where=FaultSite("control.command", "vx"))
-    own = runs(golden(1), golden(2), injected(1, flown(), control, target="b"), lost, late)
-    figures_of(own, "by stage", "planning 100.0 % [34.2, 100.0] (n = 2); control 0.0 % [0.0, 79.3] (n = 1)")
+    campaign_runs = runs(golden(1), golden(2), injected(1, flown(), control, target="b"), lost, late)
+    figures_of(campaign_runs, "by stage", "planning 100.0 % [34.2, 100.0] (n = 2); control 0.0 % [0.0, 79.3] (n = 1)")
 
 
 def test_alarms_without_a_fault_have_an_interval_and_the_hours_that_were_flown():
     watched = replace(GOLDEN, alarms=(alarm(1.0), alarm(2.0)), alarms_total=2, flight_time_s=1800.0)
-    own = runs(golden(1), golden(1, watched, arm="fake"), injected(1, flown()))
-    assert "4.0 per hour [0.5, 14.4]" in figures_of(own, "Alarms", "2 in 0.5 h")
+    campaign_runs = runs(golden(1), golden(1, watched, arm="fake"), injected(1, flown()))
+    assert "4.0 per hour [0.5, 14.4]" in figures_of(campaign_runs, "Alarms", "2 in 0.5 h")
 
 
 def test_nothing_flown_says_nothing():

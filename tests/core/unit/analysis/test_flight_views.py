@@ -19,8 +19,8 @@ def test_success_table(fake):
         [faulty] = entries(fake, "success", environment=environment, setting="fi")
         counts = [faulty[key].n for key in ("success", "success_whole_word", "success_mantissa")]
         assert counts == [39, 60, 21]
-        own = fake.where(environment=environment, setting="fi", stratum="sign_exponent")
-        assert faulty["success"].successes == sum(own["success"]) < len(own)
+        cell_runs = fake.where(environment=environment, setting="fi", stratum="sign_exponent")
+        assert faulty["success"].successes == sum(cell_runs["success"]) < len(cell_runs)
         assert faulty["paper"] == paper.success(environment, "fi")
         whole = faulty["success_whole_word"]
         assert whole.low <= whole.rate <= whole.high
@@ -43,12 +43,12 @@ def test_tables_by_property_part_the_faults(fake, name):
 
 
 def test_who_is_hurt_has_interval_n_and_the_runs_behind_it(fake):
-    found = table(fake, "by_stage")
-    place = [column.key for column in found.columns].index("hurt")
-    assert found.columns[place].form == RATE
-    for row, behind in zip(found.rows, found.behind, strict=True):
-        assert row[place].low < row[place].high and row[place].n == len(behind[place])
-    assert sum(rate.n for rate in found.column("hurt")) < len(fake.injected), "of the first column's bits alone"
+    hurt_table = table(fake, "by_stage")
+    hurt_column = [column.key for column in hurt_table.columns].index("hurt")
+    assert hurt_table.columns[hurt_column].form == RATE
+    for row, behind in zip(hurt_table.rows, hurt_table.behind, strict=True):
+        assert row[hurt_column].low < row[hurt_column].high and row[hurt_column].n == len(behind[hurt_column])
+    assert sum(rate.n for rate in hurt_table.column("hurt")) < len(fake.injected), "of the first column's bits alone"
 
 
 def test_effects_and_endings_add_up(fake):
@@ -64,10 +64,10 @@ def test_effects_and_endings_add_up(fake):
 
 
 def test_unknown_flights_are_counted_apart():
-    own = runs(golden(1), injected(1, flown()), injected(2, DUE), injected(3, UNKNOWN))
-    [_, entry] = table(own, "success").entries()
+    campaign_runs = runs(golden(1), injected(1, flown()), injected(2, DUE), injected(3, UNKNOWN))
+    [_, entry] = table(campaign_runs, "success").entries()
     assert (entry["success"].n, entry["success"].successes) == (2, 1)
-    assert any(note.startswith("1 flights could not be judged") for note in table(own, "success").notes)
+    assert any(note.startswith("1 flights could not be judged") for note in table(campaign_runs, "success").notes)
 
 
 def test_recovery_and_paired_tests(fake):
@@ -79,8 +79,8 @@ def test_recovery_and_paired_tests(fake):
 
 
 def test_undefined_recovery_is_said_so():
-    own = [golden(1), injected(1, flown()), injected(1, flown(), arm="gaussian")]
-    [entry] = table(runs(*own), "recovery").entries()
+    campaign_runs = [golden(1), injected(1, flown()), injected(1, flown(), arm="gaussian")]
+    [entry] = table(runs(*campaign_runs), "recovery").entries()
     assert (entry["recovery"], entry["lost"], entry["brought_back"], entry["newly_lost"]) == ("no estimate", 0, 0, 0)
 
 
@@ -95,9 +95,9 @@ def test_false_alarms_have_exposure_and_bound(fake):
 
 
 def test_detections(fake):
-    found = table(fake, "detections").entries()
-    assert {entry["detected"].rate for entry in found} == {entry["downstream"].rate for entry in found} == {1.0}
-    assert {entry["in_monitored_set"] for entry in found} == {"yes", "no"}
+    entries = table(fake, "detections").entries()
+    assert {entry["detected"].rate for entry in entries} == {entry["downstream"].rate for entry in entries} == {1.0}
+    assert {entry["in_monitored_set"] for entry in entries} == {"yes", "no"}
 
 
 def test_tables_on_faults_say_that_rates_are_conditional(fake):

@@ -28,7 +28,7 @@ def silent(success=True, first=None, **changes):
 
 
 @pytest.fixture
-def own():
+def kernel_runs():
     faulty = [
         injected(0, silent(first=FIRST), INSTRUCTION, target="pid"),
         injected(1, died(), INSTRUCTION, target="pid"),
@@ -42,45 +42,43 @@ def own():
     return runs(*without, golden(0, arm="gaussian"), *faulty, **ABOUT)
 
 
-def test_a_death_is_a_lost_mission_only_where_missions_end_with_it(own):
-    rows = {(row[0], row[1]): row[2] for row in table(own, "instructions_as_in_the_paper").rows}
+def test_a_death_is_a_lost_mission_only_where_missions_end_with_it(kernel_runs):
+    rows = {(row[0], row[1]): row[2] for row in table(kernel_runs, "instructions_as_in_the_paper").rows}
     restarted, ended = rows["Injection run", "here, node restarts"], rows["Injection run", "here, mission ends"]
     assert (restarted.successes, restarted.n, ended.successes, ended.n) == (3, 4, 2, 4)
     assert rows["Golden run", "here"].successes == 5
     assert (rows["Golden run", "paper"], rows["Injection run", "paper"]) == (0.95, 0.883)
-    notes = table(own, "instructions_as_in_the_paper").notes
+    notes = table(kernel_runs, "instructions_as_in_the_paper").notes
     assert "faults that found no such call or were not activated, kept in every rate: fi 1, dr_gaussian 0" in notes
     assert any("control: pid; planning: rrt_connect" in note for note in notes)
     assert "1 flights could not be judged (unknown) and are left out" in notes
 
 
-def test_what_kernels_did(own):
-    pid, planner = table(own, "kernel_effects").entries()
+def test_what_kernels_did(kernel_runs):
+    pid, planner = table(kernel_runs, "kernel_effects").entries()
     assert (pid["kernel"], pid["n"], pid["sdc"].successes, pid["due"].successes) == ("pid", 2, 1, 1)
     assert (planner["n"], planner["masked"].successes, planner["due_kinds"]) == (2, 1, "0 / 1 / 0")
-
-
-def test_which_tables_a_campaign_of_kernels_has(own):
-    names = [found.name for found in views_for(own)]
-    assert names[0] == "instructions_as_in_the_paper"
-    assert {"kernel_effects", "recovery"} <= set(names)
-    assert not {"success", "by_stage", "outcomes", "register_effects"} & set(names)
-    per_kernel = replace(own, campaign={**own.campaign, "each": "kernel"})
-    assert views_for(per_kernel)[0].name == "kernels_as_in_the_paper"
-    assert "instructions_as_in_the_paper" not in [found.name for found in views_for(per_kernel)]
 
 
 def test_protected_and_plain_code_are_compared_as_samples():
     plain = [injected(0, silent(), INSTRUCTION), injected(1, died(success=False), INSTRUCTION)]
     assert "kernel_effects_by_setting" not in views_for(runs(golden(0), golden(1), *plain)), "nothing is protected"
-    found = [
+    campaign_runs = [
         injected(0, flown(kernel=PROTECTED), INSTRUCTION, arm="full"),
         injected(1, died(), INSTRUCTION, arm="full"),
         injected(2, UNKNOWN, INSTRUCTION, arm="full"),
     ]
     base = [golden(seed, arm=arm) for seed in range(4) for arm in ("", "full")]
-    rows = table(runs(*base, *plain, *found), "kernel_effects_by_setting").entries()
-    own = {row["setting"]: row for row in rows if row["kernel"] == "pid"}
-    assert own["fi"]["sdc"].successes == own["fi"]["due"].successes == own["dr_full"]["found"].successes == 1
-    assert own["fi"]["n"] == own["dr_full"]["n"] == 2 and own["dr_full"]["sdc"].successes == 0
-    assert (own["fi"]["success_due"].successes, own["dr_full"]["success_due"].successes) == (0, 1)
+    rows = table(runs(*base, *plain, *campaign_runs), "kernel_effects_by_setting").entries()
+    row_of_setting = {row["setting"]: row for row in rows if row["kernel"] == "pid"}
+    assert (
+        row_of_setting["fi"]["sdc"].successes
+        == row_of_setting["fi"]["due"].successes
+        == row_of_setting["dr_full"]["found"].successes
+        == 1
+    )
+    assert (
+        row_of_setting["fi"]["n"] == row_of_setting["dr_full"]["n"] == 2
+        and row_of_setting["dr_full"]["sdc"].successes == 0
+    )
+    assert (row_of_setting["fi"]["success_due"].successes, row_of_setting["dr_full"]["success_due"].successes) == (0, 1)

@@ -9,28 +9,35 @@ from tests.core.unit.analysis.handmade import UNKNOWN, flown, golden, injected, 
 
 
 @pytest.fixture
-def own():
+def campaign_runs():
     unknown = replace(injected(3, UNKNOWN), note="Traceback\n  ...\nKeyError: 3\nmy:Own: KeyError: 3 (my.py:2, check)")
     return runs(golden(1), golden(2), injected(1, flown()), injected(2, flown(success=False)), unknown)
 
 
-def test_every_run_is_a_row_with_all_columns_in_files(own):
-    found = listing(own)
-    assert len(found.rows) == 5 and found.title == "5 of 5 runs"
-    assert {column.key for column in found.columns} == {"number", *SCHEMA}
-    assert [column.key for column in found.columns if not column.hidden][:4] == ["number", "run_id", "status", "effect"]
+def test_every_run_is_a_row_with_all_columns_in_files(campaign_runs):
+    listed = listing(campaign_runs)
+    assert len(listed.rows) == 5 and listed.title == "5 of 5 runs"
+    assert {column.key for column in listed.columns} == {"number", *SCHEMA}
+    assert [column.key for column in listed.columns if not column.hidden][:4] == [
+        "number",
+        "run_id",
+        "status",
+        "effect",
+    ]
 
 
-def test_the_reason_is_shown_where_a_run_could_not_be_judged(own):
-    shown = [column.key for column in listing(own).columns if not column.hidden]
-    assert shown[-1] == "reason" and listing(own).column("reason")[-1] == "my:Own: KeyError: 3 (my.py:2, check)"
-    assert set(listing(own.where("judged")).column("reason")) == {""}
-    shown = [column.key for column in listing(own.where("judged")).columns if not column.hidden]
+def test_the_reason_is_shown_where_a_run_could_not_be_judged(campaign_runs):
+    shown = [column.key for column in listing(campaign_runs).columns if not column.hidden]
+    assert (
+        shown[-1] == "reason" and listing(campaign_runs).column("reason")[-1] == "my:Own: KeyError: 3 (my.py:2, check)"
+    )
+    assert set(listing(campaign_runs.where("judged")).column("reason")) == {""}
+    shown = [column.key for column in listing(campaign_runs.where("judged")).columns if not column.hidden]
     assert "reason" not in shown
 
 
-def test_failed_are_those_that_did_not_succeed(own):
-    failed = listing(own, failed=True)
+def test_failed_are_those_that_did_not_succeed(campaign_runs):
+    failed = listing(campaign_runs, failed=True)
     assert failed.column("status") == ["collision", "unknown"]
     assert failed.column("number") == [4, 5]  # as in the list of all
 

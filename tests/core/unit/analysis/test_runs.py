@@ -60,19 +60,19 @@ def test_time_and_energy_are_compared_where_both_succeed():
 
 
 def test_time_is_compared_with_the_golden_run_without_a_detector():
-    own = runs(
+    campaign_runs = runs(
         golden(1),
         golden(1, replace(GOLDEN, flight_time_s=100.0, digest="d"), arm="gaussian"),
         injected(1, flown(digest="d", flight_time_s=60.0), arm="gaussian"),
     )
-    [found] = own.injected
-    assert found["inflation"] == pytest.approx(0.2)
-    assert found["effect"] == "masked", "compared with the golden run of its own arm"
+    [entry] = campaign_runs.injected
+    assert entry["inflation"] == pytest.approx(0.2)
+    assert entry["effect"] == "masked", "compared with the golden run of its own arm"
 
 
 def test_a_death_is_a_lost_mission_only_where_missions_end_with_it():
-    found = row(died(), INSTRUCTION)
-    assert (found["success"], found["success_if_ended"], found["kernel_effect"]) == (True, False, "crash")
+    entry = row(died(), INSTRUCTION)
+    assert (entry["success"], entry["success_if_ended"], entry["kernel_effect"]) == (True, False, "crash")
     assert row(flown(kernel=KernelEffect("sdc")), INSTRUCTION)["success_if_ended"]
 
 
@@ -90,12 +90,12 @@ def test_a_death_is_a_lost_mission_only_where_missions_end_with_it():
     ],
 )
 def test_only_alarms_on_the_corrupted_publication_detect_the_fault(alarms, twins, at_site, downstream, after):
-    own = runs(
+    campaign_runs = runs(
         golden(1), golden(1, replace(GOLDEN, alarms=tuple(twins)), arm="g"), injected(1, flown(alarms=alarms), arm="g")
     )
-    [found] = own.injected
-    assert (found["detected_at_site"], found["detected_downstream"]) == (at_site, downstream)
-    assert found["alarm_after_s"] == (None if after is None else pytest.approx(after))
+    [entry] = campaign_runs.injected
+    assert (entry["detected_at_site"], entry["detected_downstream"]) == (at_site, downstream)
+    assert entry["alarm_after_s"] == (None if after is None else pytest.approx(after))
 
 
 def test_sites_of_every_level():
@@ -105,17 +105,27 @@ def test_sites_of_every_level():
     assert (state["population"], state["monitored"]) == ("sign_exponent", True)
     details = {"opcode": "fmul", "type": "double", "variable": "v", "replayable": True}
     call = Injection("instruction", "pid.track", 1.0, 3, 1.0, "nan", True, "a.py", 9, details)
-    own = row(flown(injections=(call,)), INSTRUCTION)
-    assert (own["stage"], own["kernel"], own["function"], own["population"]) == ("control", "pid", "track", "all_bits")
-    assert (own["file"], own["line"], own["opcode"], own["value_type"]) == ("a.py", 9, "fmul", "double")
-    assert own["after"] != own["after"] and own["replayable"]
+    campaign_runs = row(flown(injections=(call,)), INSTRUCTION)
+    assert (
+        campaign_runs["stage"],
+        campaign_runs["kernel"],
+        campaign_runs["function"],
+        campaign_runs["population"],
+    ) == ("control", "pid", "track", "all_bits")
+    assert (campaign_runs["file"], campaign_runs["line"], campaign_runs["opcode"], campaign_runs["value_type"]) == (
+        "a.py",
+        9,
+        "fmul",
+        "double",
+    )
+    assert campaign_runs["after"] != campaign_runs["after"] and campaign_runs["replayable"]
     assert row(flown(), REGISTER)["register"] == "general"
 
 
 def test_every_run_has_every_column_and_runs_that_are_not_flown_are_left_out():
-    own = runs(golden(1), injected(1, flown()), null(1, GOLDEN), golden(2, None))
-    assert own.frame.columns == list(SCHEMA) and len(own) == 3
-    assert [len(part) for part in (own.golden, own.injected, own.null)] == [1, 1, 1]
-    assert own.recorded()[0] is GOLDEN
+    campaign_runs = runs(golden(1), injected(1, flown()), null(1, GOLDEN), golden(2, None))
+    assert campaign_runs.frame.columns == list(SCHEMA) and len(campaign_runs) == 3
+    assert [len(part) for part in (campaign_runs.golden, campaign_runs.injected, campaign_runs.null)] == [1, 1, 1]
+    assert campaign_runs.recorded()[0] is GOLDEN
     empty = Runs.of([])
     assert len(empty) == 0 and empty.settings() == [] and empty.frame.columns == list(SCHEMA)

@@ -24,14 +24,14 @@ BROUGHT_BACK = (("", False), ("mine", True))
 
 
 @pytest.fixture
-def own():
+def two_environments():
     ends = {("sparse", 1): True, ("dense", 1): False, ("sparse", 2): False}
     return runs(*(injected(seed, flown(success), environment=name) for (name, seed), success in ends.items()))
 
 
-def test_rows_of_an_environment_stand_together_and_a_total_below(own):
+def test_rows_of_an_environment_stand_together_and_a_total_below(two_environments):
     view = View("x", "X", ("environment", "seed"), (count("n", "n"),), total=("environment", "all"))
-    assert [row[:2] for row in view.table(own).rows] == [
+    assert [row[:2] for row in view.table(two_environments).rows] == [
         ("sparse", 1),
         ("sparse", 2),
         ("dense", 1),
@@ -40,38 +40,44 @@ def test_rows_of_an_environment_stand_together_and_a_total_below(own):
     ]
 
 
-def test_values_across_make_columns_and_measures_rows(own):
+def test_values_across_make_columns_and_measures_rows(two_environments):
     measures = (rate("success", "here", "success"), Measure("none", "never", RATE, lambda _: None))
-    found = View("x", "X", ("setting",), measures, across="environment").table(own)
-    assert [column.key for column in found.columns] == ["setting", "measure", "sparse", "dense"]
-    [(setting, heading, sparse, dense)] = found.rows
+    shown = View("x", "X", ("setting",), measures, across="environment").table(two_environments)
+    assert [column.key for column in shown.columns] == ["setting", "measure", "sparse", "dense"]
+    [(setting, heading, sparse, dense)] = shown.rows
     assert (setting, heading, sparse.successes, dense.successes) == ("fi", "here", 1, 0)
 
 
-def test_a_measure_that_raises_gives_unknown_and_the_rest_continues(own):
-    broken = Measure("ratio", "a ratio", NUMBER, lambda own: 1 / 0)
-    found = View("x", "X", ("environment",), (count("n", "n"), broken)).table(own)
-    assert found.rows == [("sparse", 2, UNKNOWN), ("dense", 1, UNKNOWN)]
-    assert any(note.startswith("a ratio: unknown (ZeroDivisionError") for note in found.notes)
+def test_a_measure_that_raises_gives_unknown_and_the_rest_continues(two_environments):
+    broken = Measure("ratio", "a ratio", NUMBER, lambda two_environments: 1 / 0)
+    shown = View("x", "X", ("environment",), (count("n", "n"), broken)).table(two_environments)
+    assert shown.rows == [("sparse", 2, UNKNOWN), ("dense", 1, UNKNOWN)]
+    assert any(note.startswith("a ratio: unknown (ZeroDivisionError") for note in shown.notes)
 
 
-def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
+def test_each_cell_knows_the_runs_that_it_was_computed_from(two_environments):
     measures = (rate("success", "success", "success", pl.col("seed") == 1), count("lost", "lost", ~pl.col("success")))
-    found = View("x", "X", ("environment",), measures).table(own)
-    ids = dict(zip(zip(own["environment"], own["seed"], strict=True), own["run_id"], strict=True))
+    shown = View("x", "X", ("environment",), measures).table(two_environments)
+    ids = dict(
+        zip(
+            zip(two_environments["environment"], two_environments["seed"], strict=True),
+            two_environments["run_id"],
+            strict=True,
+        )
+    )
     sparse = (ids["sparse", 1], ids["sparse", 2])
-    assert found.behind[0] == (sparse, (ids["sparse", 1],), (ids["sparse", 2],))
-    assert [len(row) for row in found.behind] == [len(row) for row in found.rows]
-    across = View("x", "X", ("setting",), measures, across="environment").table(own)
-    assert across.behind[1] == (own.ids, (), (ids["sparse", 2],), (ids["dense", 1],)), (
+    assert shown.behind[0] == (sparse, (ids["sparse", 1],), (ids["sparse", 2],))
+    assert [len(row) for row in shown.behind] == [len(row) for row in shown.rows]
+    across = View("x", "X", ("setting",), measures, across="environment").table(two_environments)
+    assert across.behind[1] == (two_environments.ids, (), (ids["sparse", 2],), (ids["dense", 1],)), (
         "the name of a measure opens none"
     )
 
 
-def test_views_are_found_by_name_and_an_unknown_one_is_refused(own):
-    assert table(own, "endings").title == "How missions ended"
+def test_views_are_found_by_name_and_an_unknown_one_is_refused(two_environments):
+    assert table(two_environments, "endings").title == "How missions ended"
     with pytest.raises(BadInputError, match="view 'nothing': not known; allowed: endings, success_as_in_the_paper"):
-        table(own, "nothing")
+        table(two_environments, "nothing")
 
 
 def test_nothing_flown_gives_no_table_and_no_view_raises():
@@ -93,23 +99,25 @@ def test_a_campaign_with_groups_begins_with_them():
     )
 
 
-def test_tables_as_csv_and_json(own):
+def test_tables_as_csv_and_json(two_environments):
     view = View("x", "X", ("environment",), (rate("success", "s", "success"), count("n", "n")))
-    found = view.table(own)
-    rows = list(csv.DictReader(io.StringIO(found.to_csv())))
+    shown = view.table(two_environments)
+    rows = list(csv.DictReader(io.StringIO(shown.to_csv())))
     assert [row["environment"] for row in rows] == ["sparse", "dense"]
     assert float(rows[0]["success"]) == 0.5 and float(rows[0]["success_low"]) < 0.5 and rows[0]["success_n"] == "2"
-    data = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    data = json.loads(json.dumps(shown.to_json(), allow_nan=False))
     assert data["rows"][0]["success"]["successes"] == 1 and data["name"] == "x"
-    assert found.column("n") == [2, 1]
+    assert shown.column("n") == [2, 1]
     with pytest.raises(KeyError):
-        found.column("m")
+        shown.column("m")
     assert View("y", "Y", ("seed",), ()).table(Runs.of([])).to_csv() == "seed\n"
 
 
-def test_every_table_names_the_autopilot_profile_and_its_deviations(own):
-    for found in views_for(own):
-        assert found.notes[-1].startswith("autopilot profile published; deviates from the published code: grace 1 s")
+def test_every_table_names_the_autopilot_profile_and_its_deviations(two_environments):
+    for shown_view in views_for(two_environments):
+        assert shown_view.notes[-1].startswith(
+            "autopilot profile published; deviates from the published code: grace 1 s"
+        )
     hardened = runs(injected(1, flown()), profile="hardened")
     assert "not the paper's" in views_for(hardened)[0].notes[-1]
 
@@ -125,13 +133,13 @@ def test_figures_of_the_paper_have_sources_and_are_found_by_key():
 
 
 def test_only_what_the_paper_flew_is_compared_with_its_figures():
-    own = [golden(1), injected(1, flown())]
-    assert table(runs(*own), "success").column("paper") == [0.95, 0.883]
+    entries = [golden(1), injected(1, flown())]
+    assert table(runs(*entries), "success").column("paper") == [0.95, 0.883]
     unlike = {"mission": ["planner rrt"], "faults": [], "arms": {}}
-    found = table(runs(*own, unlike_the_paper=unlike), "success")
-    assert "paper" not in [column.key for column in found.columns]
-    assert found.notes[0] == "not compared with the paper, which flew otherwise: planner rrt"
-    watched = runs(*own, injected(1, flown(), arm="gaussian"))
+    shown = table(runs(*entries, unlike_the_paper=unlike), "success")
+    assert "paper" not in [column.key for column in shown.columns]
+    assert shown.notes[0] == "not compared with the paper, which flew otherwise: planner rrt"
+    watched = runs(*entries, injected(1, flown(), arm="gaussian"))
     assert table(watched, "success").column("paper")[-1] == 0.943
     unlike = {"mission": [], "faults": [], "arms": {"gaussian": ["profile tuned"]}}
     assert table(replace(watched, campaign={**watched.campaign, "unlike_the_paper": unlike}), "success").column(
@@ -140,13 +148,13 @@ def test_only_what_the_paper_flew_is_compared_with_its_figures():
 
 
 def test_only_what_the_paper_flew_is_called_its_table():
-    own = [golden(1), injected(1, flown(), INSTRUCTION, target="control")]
+    entries = [golden(1), injected(1, flown(), INSTRUCTION, target="control")]
     name = "instructions_as_in_the_paper"
-    assert "the paper's Table I" in table(runs(*own), name).title
+    assert "the paper's Table I" in table(runs(*entries), name).title
     unlike = {"mission": [], "faults": ["no faults in planning"], "arms": {}}
-    found = table(runs(*own, unlike_the_paper=unlike), name)
-    assert found.title == "Instruction level: success rates, one fault per mission"
-    assert [row[:2] for row in found.rows if "paper" in row] == []
+    shown = table(runs(*entries, unlike_the_paper=unlike), name)
+    assert shown.title == "Instruction level: success rates, one fault per mission"
+    assert [row[:2] for row in shown.rows if "paper" in row] == []
 
 
 @pytest.mark.parametrize(

@@ -125,10 +125,10 @@ def test_mistakes_are_named_when_the_file_is_read(changes, message):
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "place"), [("strata", {"mantissa": 1}, "sampling"), ("v_max", 3.0, "mission")]
+    ("key", "value", "right_part"), [("strata", {"mantissa": 1}, "sampling"), ("v_max", 3.0, "mission")]
 )
-def test_a_key_in_the_wrong_part_of_the_file_is_refused_with_the_right_one(key, value, place):
-    with pytest.raises(BadInputError, match=f"^campaign.yaml: key '{key}': allowed as {place}.{key}$"):
+def test_a_key_in_the_wrong_part_of_the_file_is_refused_with_the_right_one(key, value, right_part):
+    with pytest.raises(BadInputError, match=f"^campaign.yaml: key '{key}': allowed as {right_part}.{key}$"):
         parse(Campaign, {**BASE, key: value}, "campaign.yaml")
 
 
@@ -185,14 +185,14 @@ PARTS = {
 
 
 def test_parts_are_environments_with_keys_of_their_own():
-    own = small(environments=["fast", "slow", "sparse"], parts=PARTS)
-    specs = [own.spec(name, 10_000) for name in own.environments]
+    campaign = small(environments=["fast", "slow", "sparse"], parts=PARTS)
+    specs = [campaign.spec(name, 10_000) for name in campaign.environments]
     assert [(spec.environment, spec.platform) for spec in specs] == [
         ("dense", "i9-9940x"),
         ("dense", "cortex-a57"),
         ("sparse", "i9-9940x"),
     ]
-    assert Campaign.model_validate(own.to_json()) == own
+    assert Campaign.model_validate(campaign.to_json()) == campaign
     assert "parts" not in small().to_json(), "campaigns without parts keep their identity"
 
 

@@ -22,8 +22,8 @@ def test_elements_and_lengths_of_lists_are_named():
     before, after, longer = new_state("planning.path", 3), new_state("planning.path", 3), new_state("planning.path", 4)
     after.elements["y"][2] = 1.0
     assert first_difference([TimedState(0, before)], [TimedState(0, after)]).field == "y[2]"
-    found = first_difference([TimedState(0, before)], [TimedState(0, longer)])
-    assert (found.field, found.golden, found.injected) == ("number of elements", 3, 4)
+    difference = first_difference([TimedState(0, before)], [TimedState(0, longer)])
+    assert (difference.field, difference.golden, difference.injected) == ("number of elements", 3, 4)
 
 
 def test_publications_are_compared_by_state_and_number():
@@ -31,25 +31,36 @@ def test_publications_are_compared_by_state_and_number():
     command = _publication(6, name="sensor.odometry")
     golden = [_publication(5), command, _publication(10, 2.0)]
     injected = [command, _publication(8), _publication(10, 3.0)]
-    found = first_difference(golden, injected)
-    assert (found.state, found.field, found.golden_us, found.injected_us) == ("planning.waypoint", "", 5, 8)
+    difference = first_difference(golden, injected)
+    assert (difference.state, difference.field, difference.golden_us, difference.injected_us) == (
+        "planning.waypoint",
+        "",
+        5,
+        8,
+    )
     injected = [_publication(5), command, _publication(12, 3.0)]
-    found = first_difference(golden, injected)
-    assert (found.field, found.golden, found.injected, found.golden_us, found.injected_us) == ("x", 2.0, 3.0, 10, 12)
+    difference = first_difference(golden, injected)
+    assert (difference.field, difference.golden, difference.injected, difference.golden_us, difference.injected_us) == (
+        "x",
+        2.0,
+        3.0,
+        10,
+        12,
+    )
 
 
 def test_the_first_in_time_is_reported_whatever_state_comes_first_in_the_lists():
     golden = [_publication(0), _publication(2, name="sensor.odometry"), _publication(9, name="sensor.odometry")]
     injected = [_publication(0), _publication(2, 5.0, name="sensor.odometry"), _publication(9, 7.0)]
-    found = first_difference(golden, injected)
-    assert (found.state, found.time_us) == ("sensor.odometry", 2)
+    difference = first_difference(golden, injected)
+    assert (difference.state, difference.time_us) == ("sensor.odometry", 2)
 
 
 def test_a_publication_that_one_flight_alone_has():
-    found = first_difference([_publication(0)], [_publication(0), _publication(7)])
-    assert (found.golden_us, found.injected_us) == (None, 7)
-    found = first_difference([_publication(0), _publication(7)], [_publication(0)])
-    assert (found.golden_us, found.injected_us, found.time_us) == (7, None, 7)
+    difference = first_difference([_publication(0)], [_publication(0), _publication(7)])
+    assert (difference.golden_us, difference.injected_us) == (None, 7)
+    difference = first_difference([_publication(0), _publication(7)], [_publication(0)])
+    assert (difference.golden_us, difference.injected_us, difference.time_us) == (7, None, 7)
 
 
 def _log(offsets, speed=1.0):
@@ -62,19 +73,19 @@ def _log(offsets, speed=1.0):
 
 
 def test_departure_is_where_the_distance_exceeds_the_limit():
-    found = departure(_log([0, 0, 0, 0, 0]), _log([0, 0.05, 0.2, 0.7, 0.3]))
-    assert found.time_s == pytest.approx(0.04)
-    assert found.position == pytest.approx((0.04, 0.2, 0.0))
-    assert (found.largest_m, found.largest_s) == (pytest.approx(0.7), pytest.approx(0.06))
-    assert found.behind_s == pytest.approx(0.0)
+    left_path = departure(_log([0, 0, 0, 0, 0]), _log([0, 0.05, 0.2, 0.7, 0.3]))
+    assert left_path.time_s == pytest.approx(0.04)
+    assert left_path.position == pytest.approx((0.04, 0.2, 0.0))
+    assert (left_path.largest_m, left_path.largest_s) == (pytest.approx(0.7), pytest.approx(0.06))
+    assert left_path.behind_s == pytest.approx(0.0)
 
 
 def test_a_flight_that_is_late_on_the_same_path_never_leaves_it():
     golden, slow = _log(np.zeros(101), speed=20.0), _log(np.zeros(201), speed=7.0)
-    found = departure(golden, slow)
-    assert found.time_s is None
-    assert found.largest_m == pytest.approx(0.0, abs=1e-12)
-    assert found.behind_s == pytest.approx(4.0 - 4.0 * 7.0 / 20.0)
+    left_path = departure(golden, slow)
+    assert left_path.time_s is None
+    assert left_path.largest_m == pytest.approx(0.0, abs=1e-12)
+    assert left_path.behind_s == pytest.approx(4.0 - 4.0 * 7.0 / 20.0)
     assert departure(slow, golden).behind_s == pytest.approx(2.0 - 4.0)  # beyond the end of the other path
 
 

@@ -13,6 +13,7 @@ from mavfi.errors import BadInputError
 from tests.campaigns import run_campaign
 from tests.core.unit.campaign.fakes import TROUBLE, small
 from tests.core.unit.campaign.test_run import TOTAL, digest, stop_at
+from tests.night import at_night
 
 
 def fly(directory, shard=WHOLE, campaign=None, **options):
@@ -35,7 +36,7 @@ def halves(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shards", [2, 3, 11])
+@pytest.mark.parametrize("shards", [3, *at_night(2, 11)])
 def test_shards_killed_on_the_way_and_merged_in_any_order_are_the_campaign(whole, tmp_path, shards):
     draw = random.Random(shards)
     directories = [tmp_path / str(number) for number in range(1, shards + 1)]
@@ -49,14 +50,14 @@ def test_shards_killed_on_the_way_and_merged_in_any_order_are_the_campaign(whole
     draw.shuffle(directories)
     merge(directories[1:], tmp_path / "all")
     assert status(tmp_path / "all").complete is not any(run_counts(directories[0]))
-    found = merge([directories[0], directories[-1]], tmp_path / "all")
-    assert (found.complete, found.done, found.shard) == (True, TOTAL, WHOLE)
+    merged = merge([directories[0], directories[-1]], tmp_path / "all")
+    assert (merged.complete, merged.done, merged.shard) == (True, TOTAL, WHOLE)
     assert digest(tmp_path / "all") == digest(whole)
 
 
 def test_a_shard_says_which_it_is_and_stays_the_one(halves):
-    found = status(halves[0])
-    assert (found.complete, found.shard) == (True, Shard(1, 2))
+    merged = status(halves[0])
+    assert (merged.complete, merged.shard) == (True, Shard(1, 2))
     with pytest.raises(BadInputError, match="holds shard 1/2, not 2/2; choose another directory"):
         fly(halves[0], Shard(2, 2))
     with pytest.raises(BadInputError, match="holds shard 1/2, not 1/1; choose another directory"):
@@ -64,8 +65,8 @@ def test_a_shard_says_which_it_is_and_stays_the_one(halves):
 
 
 def test_the_campaign_continues_in_what_was_merged_so_far(halves, whole, tmp_path):
-    found = merge(halves[:1], tmp_path)
-    assert not found.complete and found.total == TOTAL
+    merged = merge(halves[:1], tmp_path)
+    assert not merged.complete and merged.total == TOTAL
     assert fly(tmp_path).complete
     assert digest(tmp_path) == digest(whole)
 
@@ -90,8 +91,8 @@ def test_ledgers_that_do_not_belong_together_are_refused(halves, tmp_path, monke
 def test_two_records_of_one_run_that_differ_are_refused_and_named(whole, halves, tmp_path, monkeypatch):
     monkeypatch.setattr(TROUBLE, "stray", 3.0)
     fly(tmp_path / "strayed", Shard(1, 2))
-    with Store.open(halves[0]) as one, Store.open(tmp_path / "strayed") as other:
-        runs = zip(one.runs(), other.runs(), strict=True)
+    with Store.open(halves[0]) as first_half, Store.open(tmp_path / "strayed") as other:
+        runs = zip(first_half.runs(), other.runs(), strict=True)
         first = next(a.spec.run_id for a, b in runs if a.record != b.record)
     merge(halves, tmp_path / "all")
     with pytest.raises(BadInputError, match=f"strayed: run '{first}': has another record than in"):

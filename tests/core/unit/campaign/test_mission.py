@@ -17,6 +17,7 @@ from mavfi.record import End
 from tests.core.unit.analysis.handmade import injected
 from tests.core.unit.campaign import fakes
 from tests.core.unit.campaign.fakes import DEADLY, TROUBLE, deaths, small
+from tests.night import at_night
 
 MISSION = MissionPlan(resolve(small()), "sparse", DEADLY)
 
@@ -30,12 +31,12 @@ def flown(mission):
 
 def test_a_mission_is_planned_before_it_is_flown_and_in_two_parts():
     items = list(fly_mission(MISSION))
-    parts = [place for place, item in enumerate(items) if isinstance(item, Planned)]
-    assert parts == [0, 3]
-    assert [items[place].last for place in parts] == [False, True]
+    plan_indices = [index for index, item in enumerate(items) if isinstance(item, Planned)]
+    assert plan_indices == [0, 3]
+    assert [items[index].last for index in plan_indices] == [False, True]
     assert [spec.setting for spec in items[0].specs] == ["golden", "golden_gaussian"]
     assert {spec.kind for spec in items[3].specs} == {"injected", "null"}
-    assert {spec.world for place in parts for spec in items[place].specs} == {("sparse", DEADLY)}
+    assert {spec.world for index in plan_indices for spec in items[index].specs} == {("sparse", DEADLY)}
     assert {item.run_id for item in items[4:]} == {spec.run_id for spec in items[3].specs}
 
 
@@ -62,15 +63,15 @@ def test_flown_alone_it_gives_the_same(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("count", "survives"), [(ATTEMPTS_ALONE - 1, True), (1000, False)])
+@pytest.mark.parametrize(("count", "survives"), [(ATTEMPTS_ALONE - 1, True), *at_night((1000, False))])
 def test_a_run_in_a_child_has_three_attempts(tmp_path, monkeypatch, count, survives):
     _, sound = flown(MISSION)
     monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", count))
-    specs, found = flown(replace(MISSION, alone=True))
+    specs, completed = flown(replace(MISSION, alone=True))
     if survives:
-        assert found == sound and not any((tmp_path / "deaths").iterdir())
+        assert completed == sound and not any((tmp_path / "deaths").iterdir())
     else:
-        dead = {run_id for run_id, item in found.items() if item.record.end is End.DUE}
+        dead = {run_id for run_id, item in completed.items() if item.record.end is End.DUE}
         assert dead == {run_id for run_id, spec in specs.items() if spec.fault is not None}
         assert len(list((tmp_path / "deaths").iterdir())) == 1000 - ATTEMPTS_ALONE * len(dead)
 
@@ -81,26 +82,26 @@ def test_the_wall_clock_is_no_effect_of_a_fault(monkeypatch):
     )
     really = alone._run_in_child
     monkeypatch.setattr(alone, "_run_in_child", lambda *arguments: next(ends, None) or really(*arguments))
-    _, found = flown(replace(MISSION, alone=True))
-    [lost] = [item for item in found.values() if item.record.end is not End.FLOWN]
+    _, completed = flown(replace(MISSION, alone=True))
+    [lost] = [item for item in completed.values() if item.record.end is not End.FLOWN]
     assert (lost.record.end, lost.record.error) == (End.UNKNOWN, "took too long")
 
 
 def test_golden_runs_without_a_detector_say_how_often_consumers_acted():
-    specs, found = flown(MISSION)
-    acted = {specs[run_id].setting: item.record.acted_on for run_id, item in found.items()}
+    specs, completed = flown(MISSION)
+    acted = {specs[run_id].setting: item.record.acted_on for run_id, item in completed.items()}
     expected = {name: len(times) for name, times in fakes.golden_profile(DEADLY).times_us.items()}
     assert acted.pop("golden") == expected
     assert not any(acted.values())
 
 
 def test_injected_runs_prove_what_was_injected():
-    specs, found = flown(MISSION)
+    specs, completed = flown(MISSION)
     for run_id, spec in specs.items():
         if spec.kind == "golden":
-            assert found[run_id].record.injections == ()
+            assert completed[run_id].record.injections == ()
             continue
-        [injection] = found[run_id].record.injections
+        [injection] = completed[run_id].record.injections
         assert injection.activated == spec.fault.has_site
         assert injection.site.split("[")[0] == spec.fault.site.split("[")[0]
 
@@ -113,11 +114,11 @@ def test_a_golden_run_that_raises_is_unknown_and_its_faults_have_no_site(monkeyp
 
     really = fakes.fly
     monkeypatch.setattr(fakes, "fly", fly)
-    specs, found = flown(MISSION)
-    ends = {spec.setting: found[run_id].record.end for run_id, spec in specs.items() if spec.kind == "golden"}
+    specs, completed = flown(MISSION)
+    ends = {spec.setting: completed[run_id].record.end for run_id, spec in specs.items() if spec.kind == "golden"}
     assert ends == {"golden": End.UNKNOWN, "golden_gaussian": End.FLOWN}
     assert not any(spec.fault.has_site for spec in specs.values() if spec.fault is not None)
-    assert len(found) == len(specs)
+    assert len(completed) == len(specs)
 
 
 @pytest.mark.parametrize(("golden", "due"), [(lambda arm: None, True), (lambda arm: os._exit(9), False)])

@@ -49,17 +49,17 @@ def changed(directory, *changes):
 def test_what_was_changed_is_flown_again(flown, tmp_path, change, lost, flown_again):
     (tmp_path / FILE).write_bytes(flown[0])
     changed(tmp_path, change)
-    found = repair(tmp_path)
-    assert found.lost == lost and found.intact == flown[2] - flown_again
+    repaired = repair(tmp_path)
+    assert repaired.lost == lost and repaired.intact == flown[2] - flown_again
     assert again(tmp_path) == (flown[1], flown_again)
-    assert (tmp_path / DAMAGED).is_file() != found.was_intact
+    assert (tmp_path / DAMAGED).is_file() != repaired.was_intact
 
 
 def test_an_intact_ledger_is_left_as_it_is(flown, tmp_path, capsys):
     (tmp_path / FILE).write_bytes(flown[0])
     assert run(["campaign", "repair", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "nothing to repair" in said and "Backup" not in said
+    printed = capsys.readouterr().out
+    assert "nothing to repair" in printed and "Backup" not in printed
     assert [path.name for path in tmp_path.iterdir()] == [FILE]
     assert (tmp_path / FILE).read_bytes() == flown[0]
 

@@ -77,11 +77,11 @@ def test_runs_are_flown_again_with_the_plan_of_the_ledger(protected, tmp_path):
         file.unlink() if content is None else file.write_text(content)
         for ledger in (directory, tmp_path / "there"):
             with Store.open(ledger) as store:
-                found = next(run for run in store.runs() if run.spec.setting == "fi_safe")
-                setup = setup_of_run(resolve_stored(store), store, found.spec)
+                protected_run = next(run for run in store.runs() if run.spec.setting == "fi_safe")
+                setup = setup_of_run(resolve_stored(store), store, protected_run.spec)
                 assert setup.scenario.protection == load_plan("ten_percent").bare
-                assert setup.scenario.seed == found.spec.seed
-            assert replay(ledger, found.spec.run_id).same
+                assert setup.scenario.seed == protected_run.spec.seed
+            assert replay(ledger, protected_run.spec.run_id).same
 
 
 def test_a_campaign_does_not_continue_with_another_plan(protected):

@@ -18,8 +18,7 @@ from mavfi.campaign import run as run_module
 from mavfi.campaign.begin import begin
 from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.ledger import merge, status, stored_campaign
-from mavfi.campaign.plan import Shard
+from mavfi.campaign.ledger import status, stored_campaign
 from mavfi.campaign.replay import verify
 from mavfi.campaign.resolve import resolve
 from mavfi.campaign.store import Store
@@ -104,11 +103,11 @@ def test_two_workers_give_the_same_content_either_way(flown, tmp_path, fast_forw
 def test_ctrl_c_stops_cleanly_and_the_same_call_resumes(flown, tmp_path, stop_after, fast_forward):
     with pytest.raises(KeyboardInterrupt):
         flown_into(tmp_path, workers=2, progress=stop_at(stop_after), fast_forward=not fast_forward)
-    kept = status(tmp_path).done
-    assert stop_after <= kept <= stop_after + 20, "what came at once is kept at once"
+    flown_before = status(tmp_path).done
+    assert stop_after <= flown_before <= stop_after + 20, "what came at once is kept at once"
     reports = []
     end = flown_into(tmp_path, progress=reports.append, fast_forward=fast_forward)
-    assert (reports[-1].flown if reports else 0) == end.total - kept
+    assert (reports[-1].flown if reports else 0) == end.total - flown_before
     assert end == flown[1]
     assert digest(tmp_path) == digest(flown[0])
 
@@ -150,10 +149,10 @@ def test_bad_input_is_found_before_anything_is_written(tmp_path, monkeypatch):
 def with_model(monkeypatch, sha=None):
     """Detectors have a model now, whose sha256 is the name of its folder."""
 
-    def found(scenario, name, profile, models_dir=None, trained_for="", options=None):
+    def load_with_model(scenario, name, profile, models_dir=None, trained_for="", options=None):
         return Loaded(FakeDetector(), sha or (models_dir.name if models_dir else "shipped"))
 
-    monkeypatch.setattr(compose, "detector_for", found)
+    monkeypatch.setattr(compose, "detector_for", load_with_model)
 
 
 def test_another_campaign_or_model_is_refused(flown, tmp_path, monkeypatch):
@@ -380,16 +379,16 @@ def test_an_extended_campaign_is_the_large_one_flown_from_the_start(tmp_path):
     begun = small(missions=2, faults=2, null_runs=1, sampling=ONE_STRATUM)
     flown_into(tmp_path / "grown", begun)
     with Store.open(tmp_path / "grown") as store:
-        kept = {row.run_id: result.text for row, result in store.rows()}
+        stored_texts = {row.run_id: result.text for row, result in store.rows()}
     reports = []
     with pytest.raises(KeyboardInterrupt):
         flown_into(tmp_path / "grown", large(), extend=True, executor=OneByOne(), progress=stop_at(7))
     end = flown_into(tmp_path / "grown", large(), progress=reports.append)  # the ledger is that of the large one now
     assert end == status(tmp_path / "large")
-    assert reports[-1].flown == end.total - len(kept) - 7, "nothing is flown twice"
+    assert reports[-1].flown == end.total - len(stored_texts) - 7, "nothing is flown twice"
     assert digest(tmp_path / "grown") == digest(tmp_path / "large")
     with Store.open(tmp_path / "grown") as store:
-        assert {run_id: store.record_text(run_id) for run_id in kept} == kept
+        assert {run_id: store.record_text(run_id) for run_id in stored_texts} == stored_texts
     flown_into(tmp_path / "grown", large(), extend=True)  # nothing is left to do
     assert verify(tmp_path / "grown", 1.0).differing == ()
 
@@ -404,23 +403,6 @@ def test_an_arm_is_added_and_null_runs_take_the_arms_in_turn_as_before(flown, tm
     assert reports[-1].flown == end.total - TOTAL + 2, "one null run in each environment is that of the new arm"
     flown_into(tmp_path / "large", more)
     assert digest(tmp_path / "grown") == digest(tmp_path / "large")
-
-
-def test_an_extended_shard_can_be_merged(tmp_path):
-    def sized(number, **changes):
-        return small(environments=["sparse"], missions=number, faults=number, sampling=ONE_STRATUM, **changes)
-
-    halves = [tmp_path / "1", tmp_path / "2"]
-    for number, half in enumerate(halves, 1):
-        flown_into(half, sized(3), shard=Shard(number, 2))
-        flown_into(half, sized(6), shard=Shard(number, 2), extend=True)
-    with pytest.raises(BadInputError, match="key 'missions': shard 2/2 would have other missions"):
-        flown_into(
-            halves[1], sized(7).model_copy(update={"environments": ("dense", "sparse")}), shard=Shard(2, 2), extend=True
-        )
-    merge(halves, tmp_path / "merged")
-    flown_into(tmp_path / "whole", sized(6, grown=[{"missions": 3, "faults": 3}]))
-    assert digest(tmp_path / "merged") == digest(tmp_path / "whole")
 
 
 def test_what_is_drawn_together_is_extended_by_missions_only():

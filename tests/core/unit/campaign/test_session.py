@@ -31,12 +31,12 @@ class InThisProcess:
 
 
 def digests(folders):
-    found = []
+    ledger_digests = []
     for folder in folders:
         with Store.open(folder) as store:
             assert store.complete
-            found.append(store.digest())
-    return found
+            ledger_digests.append(store.digest())
+    return ledger_digests
 
 
 def flights(name, environment):

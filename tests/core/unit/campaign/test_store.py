@@ -81,11 +81,11 @@ def test_digest_does_not_depend_on_order_or_wall_time(tmp_path):
     for name, order in (("a", SPECS), ("b", SPECS[::-1])):
         with Store.create(tmp_path / name, IDENTITY) as store:
             plan(store, order)
-            for place, spec in enumerate(order):
+            for index, spec in enumerate(order):
                 store.write(
                     [
                         CompletedRun.of(
-                            spec.run_id, FlightRecord(End.FLOWN, digest=spec.run_id), f"note {place}", 0.1 * place
+                            spec.run_id, FlightRecord(End.FLOWN, digest=spec.run_id), f"note {index}", 0.1 * index
                         )
                     ]
                 )
@@ -232,13 +232,13 @@ def test_no_flipped_bit_changes_a_ledger_unseen(tmp_path):
     assert sound is not None
     random = np.random.default_rng(0)
     refused = 0
-    for place, bit in zip(random.integers(0, len(whole), 400), random.integers(0, 8, 400), strict=True):
+    for index, bit in zip(random.integers(0, len(whole), 400), random.integers(0, 8, 400), strict=True):
         damaged = bytearray(whole)
-        damaged[place] ^= 1 << int(bit)
+        damaged[index] ^= 1 << int(bit)
         path.write_bytes(damaged)
-        found = read(tmp_path)
-        assert found in (None, sound), f"bit {bit} of byte {place}"  # most of the file is empty space
-        refused += found is None
+        contents = read(tmp_path)
+        assert contents in (None, sound), f"bit {bit} of byte {index}"  # most of the file is empty space
+        refused += contents is None
     assert refused > 20
 
 
@@ -285,9 +285,9 @@ def test_a_closed_ledger_is_one_file_and_reading_adds_none(tmp_path):
 
 def test_a_ledger_on_media_that_cannot_be_written_is_read(tmp_path, monkeypatch):
     filled(tmp_path)
-    found = read(tmp_path)
+    contents = read(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, how: how != os.W_OK)
-    assert read(tmp_path) == found
+    assert read(tmp_path) == contents
     (tmp_path / f"{FILE}-wal").write_bytes(b"what was not closed")
     with pytest.raises(BadInputError, match="was not closed; open it once on writable media"):
         Store.open(tmp_path)

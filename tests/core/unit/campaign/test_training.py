@@ -45,16 +45,16 @@ def test_only_successful_flights_are_kept_in_the_order_of_their_seeds(workers):
 
 
 def test_training_flies_its_own_worlds_as_the_mission_asks_for():
-    asked = MissionSpec(environment="dense", seed=3, goal=(1.0, 2.0, 3.0), autopilot="hardened", v_max=2.0)
-    scenario = training_mission(asked)
+    mission = MissionSpec(environment="dense", seed=3, goal=(1.0, 2.0, 3.0), autopilot="hardened", v_max=2.0)
+    scenario = training_mission(mission)
     assert (scenario.environment.name, scenario.seed, scenario.goal) == ("training", TRAINING_SEED, None)
     assert (scenario.autopilot.name, scenario.v_max) == ("hardened", 2.0)
 
 
 def _stop_at(wanted, shown):
-    def tell(kept, _):
-        shown.append(kept)
-        if kept == wanted and len(shown) > 1:
+    def tell(count, _):
+        shown.append(count)
+        if count == wanted and len(shown) > 1:
             raise KeyboardInterrupt
 
     return tell
@@ -70,9 +70,9 @@ def test_what_is_flown_is_kept_when_training_is_stopped(tmp_path):
         record_flights(SCENARIO, 6, 1, _stop_at(4, shown), disk)
     assert shown == [0, 1, 2, 3, 4]
     shown.clear()
-    found = record_flights(SCENARIO, 6, 1, lambda kept, _: shown.append(kept), disk)
+    recorded = record_flights(SCENARIO, 6, 1, lambda count, _: shown.append(count), disk)
     assert shown[0] == 4
-    assert _content(found) == _content(record_flights(SCENARIO, 6, 1))
+    assert _content(recorded) == _content(record_flights(SCENARIO, 6, 1))
     disk.delete()
     assert not list(tmp_path.iterdir())
 
@@ -84,9 +84,9 @@ def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp
     assert list(disk.load(seeds)) == seeds
     assert list(KeptRecordings(tmp_path, SCENARIO.model_copy(update={"seed": 7})).load(seeds)) == seeds
     assert KeptRecordings(tmp_path, SCENARIO.model_copy(update={"v_max": 2.0})).load(seeds) == {}
-    (kept,) = (tmp_path / FOLDER).iterdir()
-    (kept / f"{seeds[0]}.npz").write_bytes(b"PK")
-    (kept / f"{seeds[1]}.npz").write_bytes((kept / f"{seeds[2]}.npz").read_bytes()[:100])
+    (stored_file,) = (tmp_path / FOLDER).iterdir()
+    (stored_file / f"{seeds[0]}.npz").write_bytes(b"PK")
+    (stored_file / f"{seeds[1]}.npz").write_bytes((stored_file / f"{seeds[2]}.npz").read_bytes()[:100])
     assert list(disk.load(seeds)) == seeds[2:]
     monkeypatch.setattr("mavfi.campaign.training.code", lambda: "another")
     assert KeptRecordings(tmp_path, SCENARIO).load(seeds) == {}

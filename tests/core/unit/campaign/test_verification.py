@@ -20,9 +20,9 @@ def directory(tmp_path_factory):
 
 def test_all_records_come_out_again(directory):
     reports = []
-    found = verify(directory, 1.0, progress=lambda *now: reports.append(now))
-    assert found.flown == found.runs == 3 * 2 + 9 * 2 + 3 and found.differing == ()
-    assert reports == [(number, found.runs) for number in range(found.runs)]
+    verification = verify(directory, 1.0, progress=lambda *now: reports.append(now))
+    assert verification.flown == verification.runs == 3 * 2 + 9 * 2 + 3 and verification.differing == ()
+    assert reports == [(number, verification.runs) for number in range(verification.runs)]
 
 
 def test_a_share_is_chosen_by_the_seed(directory):

@@ -21,16 +21,16 @@ class Inline:
 @pytest.fixture
 def compiled(monkeypatch, tmp_path):
     """What was compiled, in order; the cache is empty at first."""
-    found = []
+    tasks = []
     monkeypatch.setattr(warm_up, "code_folder", lambda: tmp_path / "code")
-    monkeypatch.setattr(warm_up, "_compile", found.append)
-    return found
+    monkeypatch.setattr(warm_up, "_compile", tasks.append)
+    return tasks
 
 
 def missions(compiled):
     """Campaigns among them, with the kernels in whose instructions they inject."""
-    own = [task.campaign for task in compiled if isinstance(task, warm_up._Mission)]
-    return [(campaign.name, getattr(campaign.sampling, "kernels", ())) for campaign in own]
+    campaigns = [task.campaign for task in compiled if isinstance(task, warm_up._Mission)]
+    return [(campaign.name, getattr(campaign.sampling, "kernels", ())) for campaign in campaigns]
 
 
 def test_nothing_is_compiled_twice(compiled):
@@ -41,11 +41,11 @@ def test_nothing_is_compiled_twice(compiled):
     assert len(compiled) == len({str(task) for task in compiled}) > 10
     stages = [task for task in compiled if isinstance(task, warm_up._Stage)]
     planners = ["rrt", "rrt_connect", "rrt_star"]
-    assert sorted(one.scenario.planner.name for one in stages if one.name == "plan_path") == planners
+    assert sorted(stage.scenario.planner.name for stage in stages if stage.name == "plan_path") == planners
     assert len(stages) == len(planners) + 3, "the other stages do not depend on the planner"
-    known = len(compiled)
+    compiled_before = len(compiled)
     warm_up.compile_ahead(campaigns, Inline())
-    assert len(compiled) == known, "found in the cache"
+    assert len(compiled) == compiled_before, "found in the cache"
 
 
 def test_what_failed_is_compiled_again(compiled, monkeypatch):

@@ -13,11 +13,11 @@ from mavfi.states import STATES, states_with
 from mavfi.version import __version__
 
 
-def commands_of(group, *words):
+def commands_of(group, *path):
     """The words of every command."""
     for name, command in getattr(group, "commands", {}).items():
-        yield [*words, name]
-        yield from commands_of(command, *words, name)
+        yield [*path, name]
+        yield from commands_of(command, *path, name)
 
 
 VERBS = [*commands_of(typer.main.get_command(app))]
@@ -111,8 +111,8 @@ def test_states_print_the_registry(capsys):
     assert re.search(r"read by octomap *$", blocks["perception.point_cloud"], re.MULTILINE)
 
 
-@pytest.mark.parametrize("words", ["fly --seed 1 --seed 2", "campaign run a.yaml --out b --out c"])
-def test_an_option_of_one_value_is_not_given_twice(words, capsys):
-    assert run(words.split()) == 2
-    option = words.split()[-2]
+@pytest.mark.parametrize("line", ["fly --seed 1 --seed 2", "campaign run a.yaml --out b --out c"])
+def test_an_option_of_one_value_is_not_given_twice(line, capsys):
+    assert run(line.split()) == 2
+    option = line.split()[-2]
     assert capsys.readouterr().err == f"mavfi: {option}: given 2 times; allowed: once\n"

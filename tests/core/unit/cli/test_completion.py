@@ -26,7 +26,7 @@ def complete(capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("line", "words"),
+    ("line", "completions"),
     [
         ("mavfi cam", ["campaign"]),
         ("mavfi fly --arr", ["--arrival-radius"]),
@@ -40,8 +40,8 @@ def complete(capsys, monkeypatch):
         ("mavfi fly --fault instruction:octo", ["instruction:octomap"]),
     ],
 )
-def test_names_are_completed(complete, line, words):
-    assert complete(line) == words
+def test_names_are_completed(complete, line, completions):
+    assert complete(line) == completions
 
 
 def test_ids_of_the_ledger_that_was_named_before(complete, tmp_path, monkeypatch):
@@ -54,8 +54,8 @@ def test_ids_of_the_ledger_that_was_named_before(complete, tmp_path, monkeypatch
         for position, run_id in enumerate(["dense-1-golden-1a", "dense-1-fi-pid-0-2b", "sparse-1-golden-3c"]):
             row = (run_id, position, "golden", "golden", "dense", 1, "{}", None, "", None, "")
             connection.execute("INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
-    for words in ("explain", "replay", "shrink", "export"):
-        assert complete(f"mavfi {words} {tmp_path} dense-") == ["dense-1-golden-1a", "dense-1-fi-pid-0-2b"]
+    for command in ("explain", "replay", "shrink", "export"):
+        assert complete(f"mavfi {command} {tmp_path} dense-") == ["dense-1-golden-1a", "dense-1-fi-pid-0-2b"]
 
 
 @pytest.mark.skipif(not shutil.which("bash"), reason="needs bash")

@@ -29,6 +29,7 @@ def test_a_flight_without_a_fault_has_one_path_and_no_time_line(capsys, tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_watched_fault_is_shown_with_and_without_its_detector(capsys, tmp_path):
     arguments = ("--environment", "sparse", "--seed", "7", *FAULT, "--detector", "gaussian")
     page = written(capsys, tmp_path / "a.html", "fly", *arguments)

@@ -51,17 +51,17 @@ VALUES = {
 @pytest.fixture
 def fly() -> Callable[..., MissionSpec]:
     """A verb; gives the mission that its arguments ask for."""
-    found = []
+    requests = []
     app = typer.Typer()
 
     @app.command()
     @with_mission_options
     def verb(mission: MissionSpec, loud: bool = False) -> None:
-        found.append((mission, loud))
+        requests.append((mission, loud))
 
     def call(*arguments):
         CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
-        return found.pop()
+        return requests.pop()
 
     return call
 
@@ -91,7 +91,7 @@ def test_all_options_together(fly):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({"seed": -1}, f"--seed: -1: allowed: 0 to {LARGEST_SEED}"),
         ({"wind": 31.0}, "--wind: 31.0: allowed: 0 to 30"),
@@ -100,7 +100,7 @@ def test_all_options_together(fly):
         ({"start": (float("nan"), 0.0, 1.0)}, "--start: nan 0.0 1.0: allowed: three finite numbers (m)"),
     ],
 )
-def test_a_value_that_is_not_allowed_is_named_with_its_option(given, message):
+def test_a_value_that_is_not_allowed_is_named_with_its_option(arguments, message):
     with pytest.raises(BadInputError) as caught:
-        mission_of(given)
+        mission_of(arguments)
     assert str(caught.value).startswith(message)

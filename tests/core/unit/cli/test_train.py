@@ -6,6 +6,7 @@ from mavfi.cli import run
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_train_writes_models_that_fly(capsys, tmp_path):
     assert run(["train", "--flights", "3", "--check", "1", "--workers", "1", "--out", str(tmp_path), "--json"]) == 0
     models = json.loads(capsys.readouterr().out)["models"]

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.detectors import load_detector, rules
+from mavfi.detectors import rules
 from mavfi.detectors.acceptance import CHECKED, COMPILED, SOURCE, AcceptanceTest
 from mavfi.detectors.estimates import ESTIMATE
+from mavfi.detectors.registry import load_detector
 from mavfi.errors import BadInputError
 from mavfi.states import STATES, floats, new_state, rows
 from tests.core.unit.detectors.streams import LIMITS, odometry
@@ -57,11 +58,11 @@ def short(state, autopilot):
 def step_of(autopilot, index, share=0.0, trajectory=1):
     """The way-point that a trajectory's point becomes; interpolated, by a share of the way to the next."""
     state = make(WAYPOINT, trajectory_seq=trajectory, future_collision_seq=1, index=index)
-    own = rows(points(autopilot).elements, 11)
+    numbers = rows(points(autopilot).elements, 11)
     floats(state.header, 11)[:] = (
-        own[index]
+        numbers[index]
         if autopilot == "published"
-        else own[index] + share * (own[index + 1] - own[index]) * (np.arange(11) < 3)
+        else numbers[index] + share * (numbers[index + 1] - numbers[index]) * (np.arange(11) < 3)
     )
     return state
 
@@ -120,12 +121,12 @@ def good(autopilot):
     }
     back = make(PATH, 3, future_collision_seq=1, junction=-1, z=3.0)
     back.elements["x"] = 10.0, 8.0, 6.0
-    own = {
+    of_profile = {
         "between two points": (step_of(autopilot, 1, 0.5), ()),
         "the way back": (back, ()),
         "known space of the trajectory": (status(trajectory_seq=1, distance_to_unknown=4.0), ()),
     }
-    return common | (own if interpolated else {})
+    return common | (of_profile if interpolated else {})
 
 
 GOOD = [(autopilot, case) for autopilot in LIMITS for case in good(autopilot)]
@@ -276,7 +277,7 @@ def test_a_spike_is_a_long_detour_that_turns_back(points):
 def everything(autopilot):
     """All good and all broken publications, each with what comes before."""
     cases = [good(autopilot)[case] for case in good(autopilot)]
-    return cases + [broken(own, *rest)[:2] for own, *rest in MUTANTS if own == autopilot]
+    return cases + [broken(profile, *rest)[:2] for profile, *rest in MUTANTS if profile == autopilot]
 
 
 @pytest.mark.parametrize("autopilot", LIMITS)

@@ -52,12 +52,12 @@ def hovering():
 def alarms(events, detector=None):
     """Fields of all alarms; every publication is accepted."""
     detector = detector or AcceptanceTest(ESTIMATED)
-    found = []
+    fields = []
     for state, now in events:
         alarm = detector.check(state, now)
-        found += [alarm.fields[0]] if alarm is not None else []
+        fields += [alarm.fields[0]] if alarm is not None else []
         detector.accept(state, now)
-    return found
+    return fields
 
 
 def flying():
@@ -123,8 +123,8 @@ def test_one_value_that_no_filter_says_is_a_hard_alarm_that_names_it(field, valu
 
 def test_flights_without_an_estimator_have_neither_rule_nor_memory_of_it():
     detector = AcceptanceTest(LIMITS["published"])
-    kept = detector.memory()
+    memory_before = detector.memory()
     corrupted = message(ESTIMATE, [np.nan] * WIDTH)
     assert detector.check(corrupted, 0) is None and FIX not in detector.states
     detector.accept(message(FIX, HERE), 0)
-    assert detector.memory() == kept and not any(name.startswith("estimate.") for name in detector.arrays())
+    assert detector.memory() == memory_before and not any(name.startswith("estimate.") for name in detector.arrays())

@@ -1,17 +1,14 @@
-import numpy as np
 import pytest
 
 from mavfi.campaign.resolve import resolve as resolve_campaign
-from mavfi.detectors import load_detector
 from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.detector import NoDetector
 from mavfi.detectors.gaussian import GaussianDetector
-from mavfi.detectors.registry import OF_OWN, contains, mission_keys
+from mavfi.detectors.registry import OF_OWN, load_detector, mission_keys
 from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.flight.compose import with_keys_of
 from mavfi.mission import MissionSpec
 from tests.core.unit.campaign.fakes import small
-from tests.core.unit.detectors.streams import command, waypoint
 
 FITS = {"stack": "published", "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
 
@@ -29,23 +26,6 @@ def test_the_detectors_of_the_paper_come_with_their_models(models, model_folder,
 def test_options_that_are_none_are_refused(model_folder, options, message):
     with pytest.raises(BadInputError, match=message):
         load_detector("gaussian", "paper", model_folder, FITS, options=options)
-
-
-@pytest.mark.parametrize("name", ["gaussian", "autoencoder"])
-def test_profiles_are_presets_of_features_policy_and_gate(model_folder, name):
-    policy = "paper" if name == "autoencoder" else "keyed"
-    presets = {
-        "paper": {"features": "code", "policy": policy, "gate": False},
-        "tuned": {"features": "predicted", "policy": "keyed", "gate": True},
-    }
-    for profile, other in (("paper", "tuned"), ("tuned", "paper")):
-        plain, sha256 = load_detector(name, profile, model_folder, FITS)
-        chosen, same = load_detector(name, other, model_folder, FITS, options=presets[profile])
-        assert same == sha256 and type(chosen) is type(plain)
-        wrong = [waypoint([400.0, 0, 0], [0, 0, 0]), command([np.nan, 0, 0])]
-        assert [chosen.check(state, 0) for state in wrong] == [plain.check(state, 0) for state in wrong]
-    assert contains(name, "tuned", "physics_gate") and not contains(name, "paper", "physics_gate")
-    assert contains(name, "paper", "physics_gate", {"gate": True})
 
 
 @pytest.mark.parametrize(
@@ -85,8 +65,8 @@ def test_profiles_and_models_that_are_not_there_are_named(model_folder, tmp_path
 
 def test_a_model_of_other_flights_is_used_where_it_is_named(model_folder, tmp_path):
     other = {**FITS, "platform": "slow", "planner": "rrt", "v_max": 5.0}
-    own = load_detector("gaussian", "paper", model_folder, FITS)[1]
-    assert load_detector("gaussian", "paper", model_folder, other, trained_for="published/i9-9940x")[1] == own
+    model = load_detector("gaussian", "paper", model_folder, FITS)[1]
+    assert load_detector("gaussian", "paper", model_folder, other, trained_for="published/i9-9940x")[1] == model
     with pytest.raises(BadInputError, match="'hardened/none': not known"):
         load_detector("gaussian", "paper", None, FITS, trained_for="hardened/none")
     with pytest.raises(SpecMismatchError, match="or fly with this one, key trained_for: published/i9-9940x"):

@@ -1,22 +1,18 @@
-import pickle
-
 import numpy as np
 import pytest
 
-from mavfi.detectors import load_detector
+from mavfi.detectors.registry import load_detector
 from mavfi.detectors.scoring import Reading, Threshold, score_of
-from tests.core.unit.detectors.streams import LIMITS, command, flight
+from tests.core.unit.detectors.streams import command
 from tests.core.unit.detectors.test_registry import FITS
-
-DETECTORS = [(name, profile) for name in ("gaussian", "autoencoder") for profile in ("paper", "tuned")]
 
 
 def reading(distance, regime=0, unit=1.0):
     return Reading(np.array(distance, float), np.full(len(distance), unit), 1, 3, regime)
 
 
-def judge(threshold, found):
-    return score_of(found, threshold.limit, threshold.ratios)
+def judge(threshold, reading_of):
+    return score_of(reading_of, threshold.limit, threshold.ratios)
 
 
 def test_only_renewed_fields_are_held_against_their_limits():
@@ -31,26 +27,11 @@ def test_only_renewed_fields_are_held_against_their_limits():
 
 def test_a_mean_square_is_of_all_fields_and_the_field_farthest_beyond_its_usual_stands_out():
     threshold = Threshold(np.array([[2.0]]), 3, usual=np.array([10.0, 0.1, 1.0]))
-    found = reading([3.0, 1.0, 2.0])
-    score = judge(threshold, found)
+    measured = reading([3.0, 1.0, 2.0])
+    score = judge(threshold, measured)
     assert score == pytest.approx(14.0 / 3.0 / 2.0)
-    assert threshold.fields_of_alarm(found, np.zeros(0, int)).tolist() == [1]
-    assert threshold.fields_of_alarm(found, np.array([2, 0])).tolist() == [2]
-
-
-@pytest.mark.parametrize(("name", "profile"), [*DETECTORS, ("acceptance", "paper")])
-def test_a_pickled_detector_continues_from_what_it_remembered(model_folder, name, profile):
-    detector, _ = load_detector(name, profile, model_folder, {**FITS, "limits": LIMITS["published"]})
-    events = flight(6, ticks=200)
-    detector.start()
-    for state, time_us in events[:300]:
-        detector.check(state, time_us)
-        detector.accept(state, time_us)
-    other = pickle.loads(pickle.dumps(detector))
-    for event in events[300:]:
-        assert other.check(*event) == detector.check(*event)
-        assert detector.accept(*event) is other.accept(*event) is None
-        assert other.memory() == detector.memory()
+    assert threshold.fields_of_alarm(measured, np.zeros(0, int)).tolist() == [1]
+    assert threshold.fields_of_alarm(measured, np.array([2, 0])).tolist() == [2]
 
 
 def test_a_publication_that_is_checked_again_after_another_one_is_measured_again():

@@ -15,14 +15,6 @@ def test_both_detectors_are_fitted_in_both_profiles(models):
     assert {"numpy", "scikit-learn"} <= set(models["gaussian-paper"].provenance["versions"])
 
 
-@pytest.mark.slow
-def test_the_same_flights_give_the_same_models(recordings):
-    first, second = (fit(MONITORED_FIELDS, recordings[:3], PROVENANCE) for _ in range(2))
-    assert {name: model.sha256 for name, model in first.items()} == {
-        name: model.sha256 for name, model in second.items()
-    }
-
-
 def test_the_prediction_is_the_one_that_fits(models):
     assert models["gaussian-tuned"].prediction == "interval"
     sampled = [(waypoint([(0.5 * k) ** 2, 0, 0], [2 * 0.5 * k, 0, 0], index=k), 500_000 * k) for k in range(20)]

@@ -89,9 +89,9 @@ def test_the_answer_to_an_alarm(alarm, state, expected):
 
 @pytest.mark.parametrize(("alarm", "state", "expected"), CASES)
 def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expected):
-    found = answer(alarm, state, RecoveryPolicy("observer"))
-    assert not found.withholds
-    assert (found.kind, found.kernel, found.restores, found.awaited) == (
+    response = answer(alarm, state, RecoveryPolicy("observer"))
+    assert not response.withholds
+    assert (response.kind, response.kernel, response.restores, response.awaited) == (
         expected.kind,
         expected.kernel,
         expected.restores,
@@ -109,7 +109,7 @@ def test_a_message_that_is_wrong_twice_is_computed_again():
 
 def test_an_alarm_has_the_first_response_that_applies():
     flags = itertools.product(*[BOTH] * 7)
-    for hard, degrades, persists, stop, abandon, own, resends in flags:
+    for hard, degrades, persists, stop, abandon, has_kernel, resends in flags:
         for origin, left in itertools.product(Origin, (0, 1, MAX_RESTARTS)):
             policy = RecoveryPolicy(
                 grain="message" if resends else "stage",
@@ -118,7 +118,9 @@ def test_an_alarm_has_the_first_response_that_applies():
             )
             now = 1_000_000 + PERSISTS_US + persists
             history = History(restarts_left=left, first_us=1_000_000, last_us=now - GAP_US)
-            alarm = Alarm("d", "perception" if own else "control", hard=hard, stop=stop, abandon_waypoint=abandon)
+            alarm = Alarm(
+                "d", "perception" if has_kernel else "control", hard=hard, stop=stop, abandon_waypoint=abandon
+            )
             recomputed = origin is Origin.RECOMPUTED
             applies = {
                 Response.HOLD: hard and degrades and (persists or (recomputed and left == 0)),
@@ -126,11 +128,11 @@ def test_an_alarm_has_the_first_response_that_applies():
                 Response.RESTART: recomputed,
                 Response.STOP: stop,
                 Response.ABANDON: abandon,
-                Response.RESEND: own and resends and origin is Origin.STEP,
+                Response.RESEND: has_kernel and resends and origin is Origin.STEP,
                 Response.RECOMPUTE: True,
             }
-            found = answer(alarm, STATUS, policy, origin, history, now)
-            assert (None if found is None else found.kind) is next(kind for kind in applies if applies[kind])
+            response = answer(alarm, STATUS, policy, origin, history, now)
+            assert (None if response is None else response.kind) is next(kind for kind in applies if applies[kind])
 
 
 @pytest.mark.parametrize("gap", BOTH)
@@ -148,10 +150,10 @@ def test_a_gap_begins_a_new_series_of_alarms(gap):
     [(1, "none", "restart"), (1, "hold", "restart"), (0, "none", None), (0, "hold", "hold")],
 )
 def test_an_overdue_path_restarts_the_planner_while_a_restart_is_left(left, degraded, expected):
-    found = decide_overdue(History(restarts_left=left), RecoveryPolicy(answer_s=0.6, degraded=degraded))
-    assert (None if found is None else found.kind) == expected
+    response = decide_overdue(History(restarts_left=left), RecoveryPolicy(answer_s=0.6, degraded=degraded))
+    assert (None if response is None else response.kind) == expected
     if expected == "restart":
-        assert found == Action(Response.RESTART, PLANNING, "planner", withholds=True)
+        assert response == Action(Response.RESTART, PLANNING, "planner", withholds=True)
 
 
 def test_each_restart_takes_three_times_as_long():

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mavfi.detectors import Alarm, Detector
@@ -17,6 +18,7 @@ from mavfi.flight.decide import (
     RecoveryPolicy,
 )
 from mavfi.flight.recovery import DetectorTap
+from mavfi.flight.state import FlightState
 from mavfi.mission import MissionSpec
 from mavfi.record import SILENCED
 from mavfi.states import PPC_STAGES, new_state
@@ -50,11 +52,11 @@ class Flight:
 
     def __init__(self, alarm="one_shot"):
         self.scenario = SimpleNamespace(autopilot=SimpleNamespace(alarm=alarm, replanning="on_alarm"), v_max=3.0)
-        self.awaited, self.requests, self.busy, self.down = {}, {}, {}, set()
+        self.state = FlightState(np.zeros(3))
         self.events = []
         self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
         self.steps, self.restarted = [], []
-        self.deliver = self.at = self.charge = lambda *arguments: None
+        self.deliver = self.charge = lambda *arguments: None
 
     def recompute(self, action, now):
         self.steps.append((action.kernel, now))
@@ -132,7 +134,7 @@ def test_an_observer_restarts_no_node_for_it():
 @pytest.mark.parametrize("pause", [1, ALARMS_WITHIN_US // (MAX_ALARMS - 1) + 1])
 def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
     flight, detector = Flight(), Always(hard=True)
-    values = [(place * pause, status(5)) for place in range(2 * MAX_ALARMS)]
+    values = [(number * pause, status(5)) for number in range(2 * MAX_ALARMS)]
     shown(detector, ESCALATES, values, flight)
     endless = pause == 1
     assert [kind for _, kind in flight.events] == ([SILENCED] if endless else [])

@@ -61,7 +61,7 @@ def test_a_child_does_not_collect_what_it_inherited():
     inherited = [object()]
 
     def looked_at():
-        return str(any(one is inherited for one in gc.get_objects())).encode()
+        return str(any(thing is inherited for thing in gc.get_objects())).encode()
 
     assert looked_at() == b"True"
     assert run_in_child(looked_at).payload == b"False"
@@ -92,6 +92,7 @@ def test_the_wall_clock_ends_a_child_that_does_not_end(no_child_left):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_no_file_and_no_child_is_left_after_many(no_child_left):
     run_in_child(lambda: b"")
     before = open_files()

@@ -30,7 +30,7 @@ def half(x):
 
 def surroundings_of(kernel, signature):
     """Of the process that prepares: its template, where it is, how much it had compiled, and a variable."""
-    others = sum(isinstance(one, KernelDispatcher) and bool(one.overloads) for one in gc.get_objects())
+    others = sum(isinstance(thing, KernelDispatcher) and bool(thing.overloads) for thing in gc.get_objects())
     cache = list(map(str, Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nb?")))
     return json.dumps([os.getppid(), os.getcwd(), others, cache, os.environ.get("FOR_FORKS")]).encode()
 
@@ -39,9 +39,9 @@ def hang(kernel, signature):
     time.sleep(60)
 
 
-def report_and_hang(kernel, signature, found):
-    found.with_suffix(".part").write_text(f"{os.getppid()} {os.getpid()}", encoding="utf-8")
-    found.with_suffix(".part").rename(found)
+def report_and_hang(kernel, signature, pid_file):
+    pid_file.with_suffix(".part").write_text(f"{os.getppid()} {os.getpid()}", encoding="utf-8")
+    pid_file.with_suffix(".part").rename(pid_file)
     hang(kernel, signature)
 
 
@@ -49,12 +49,12 @@ def die(kernel, signature):
     os.kill(os.getpid(), signal.SIGABRT)
 
 
-def asked():
+def answers():
     return json.loads(run_in_fresh_process(half, (numba.float64,), surroundings_of))
 
 
 def template():
-    return asked()[0]
+    return answers()[0]
 
 
 def wait_for_end(pid):
@@ -65,23 +65,23 @@ def wait_for_end(pid):
 
 
 def test_one_template_serves_all_requests_and_each_fork_has_settings_and_empty_caches_of_its_own(tmp_path, monkeypatch):
-    first = asked()
+    first = answers()
     monkeypatch.setenv("FOR_FORKS", "set")
     monkeypatch.chdir(tmp_path)
-    second = asked()
+    second = answers()
     assert first == [first[0], first[1], 0, [], None]
     assert second == [first[0], str(tmp_path), 0, [], "set"]
     assert first[0] != os.getpid()
 
 
 def test_it_is_no_child_of_the_program_and_ends_with_its_thread():
-    found = []
-    thread = threading.Thread(target=lambda: found.append(template()))
+    parents = []
+    thread = threading.Thread(target=lambda: parents.append(template()))
     thread.start()
     thread.join()
     with pytest.raises(ChildProcessError):
-        os.waitpid(found[0], os.WNOHANG)
-    wait_for_end(found[0])
+        os.waitpid(parents[0], os.WNOHANG)
+    wait_for_end(parents[0])
 
 
 def test_forks_of_the_program_have_their_own():
@@ -117,19 +117,19 @@ def test_a_fork_that_hangs_or_dies_leaves_the_template():
 
 
 def test_what_is_prepared_for_a_program_that_is_killed_is_given_up(tmp_path):
-    found = tmp_path / "pids"
+    pid_file = tmp_path / "pids"
     program = os.fork()
     if program == 0:
         try:
-            run_in_fresh_process(half, (numba.float64,), partial(report_and_hang, found=found))
+            run_in_fresh_process(half, (numba.float64,), partial(report_and_hang, pid_file=pid_file))
         finally:
             os._exit(0)
-    while not found.exists():
+    while not pid_file.exists():
         assert os.waitpid(program, os.WNOHANG) == (0, 0)
         time.sleep(0.02)
     os.kill(program, signal.SIGKILL)
     os.waitpid(program, 0)
-    for pid in found.read_text(encoding="utf-8").split():
+    for pid in pid_file.read_text(encoding="utf-8").split():
         wait_for_end(int(pid))
 
 

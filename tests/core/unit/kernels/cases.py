@@ -1,10 +1,5 @@
-"""Every compiled kernel with sound arguments, and what corrupted ones may never do.
+"""Every compiled kernel with sound arguments; results and work space come last."""
 
-Run as a program with NUMBA_BOUNDSCHECK=1, it feeds corrupted numbers to all kernels and fails on the first access out
-of bounds; that such an access is really found is proved first.
-"""
-
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -36,11 +31,9 @@ from mavfi.kernels.planning import (
     waypoint,
 )
 from mavfi.kernels.planning import path as paths
-from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid, first_blocked, offsets_within, segment_free, voxel_of
 
-SPECIAL = (np.nan, np.inf, -np.inf, 1e30, -1e30, 1e300, -1e300, -0.0, 5e-324)
 GRID = Grid(-2.0, -2.0, 0.0, 2.0, 12, 10, 6)
 LOWER, UPPER = np.array([-2.0, -2.0, 0.0]), np.array([4.0, 3.0, 3.0])
 FRAME = octomap.KeyFrame(0.5, 0.25, 0.25, 0.25, -4, -4, 0, 12, 10, 6)
@@ -56,11 +49,10 @@ OFFSETS = offsets_within(0.8, 0.5, False)
 
 @dataclass(frozen=True)
 class Case:
-    """A kernel, a maker of fresh sound arguments, and a test of what it did."""
+    """A kernel, and a maker of fresh sound arguments."""
 
     function: Any
     arguments: Callable[[], list[Any]]
-    sound: Callable[[Any, list[Any]], bool]
 
 
 def blocked():
@@ -151,255 +143,195 @@ def nearest_in(nodes, target, lower, upper, search, *ball):
     return search(index, nodes, len(nodes), target, *ball)
 
 
-def never(_result, _arguments):
-    return True
-
-
-def index_below(limit):
-    return lambda result, _arguments: -1 <= result < limit
-
-
-def count_up_to(limit):
-    return lambda result, _arguments: 0 <= result <= limit
-
-
 CASES = {
-    "voxel_of": Case(voxel_of, lambda: [GRID, 0.3, 0.4, 0.5], index_below(GRID.size)),
+    "voxel_of": Case(voxel_of, lambda: [GRID, 0.3, 0.4, 0.5]),
     "first_blocked": Case(
-        first_blocked, lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.1]), np.array([3.9, 2.9, 2.9]), True],
-        lambda result, _: 0.0 <= result <= 2.0,
+        first_blocked,
+        lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.1]), np.array([3.9, 2.9, 2.9]), True],
     ),
     "segment_free": Case(
-        segment_free, lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.1]), np.array([3.9, 2.9, 2.9])], never
+        segment_free, lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.1]), np.array([3.9, 2.9, 2.9])]
     ),
     "back_project": Case(
         point_cloud.back_project,
-        lambda: [np.ones(6, np.float32), np.full((6, 3), 0.6), np.eye(3), np.ones(3), 20.0,
-                 np.zeros((6, 3), np.float32)],
-        never,
+        lambda: [
+            np.ones(6, np.float32),
+            np.full((6, 3), 0.6),
+            np.eye(3),
+            np.ones(3),
+            20.0,
+            np.zeros((6, 3), np.float32),
+        ],
     ),
     "insert_scan": Case(
-        octomap.insert_scan, scan,
-        lambda result, a: 0 <= result <= 720 and len(set(a[8][:result].tolist())) == result,
+        octomap.insert_scan,
+        scan,
     ),
     "collect": Case(
-        key_sets.collect, lambda: [*scan()[:4], np.zeros(720, np.int32), 1, np.zeros(721, np.int32)],
-        lambda result, a: 0 <= result[0] <= result[1] <= 720 and len(set(a[6][: result[1]].tolist())) == result[1],
+        key_sets.collect,
+        lambda: [*scan()[:4], np.zeros(720, np.int32), 1, np.zeros(721, np.int32)],
     ),
-    "update_voxels": Case(octree.update_voxels, node_updates, count_up_to(8)),
-    "search": Case(
-        octree.search, lambda: [nodes(), 0, 0, 2], lambda result, _: isinstance(result, float | np.floating)
-    ),
+    "update_voxels": Case(octree.update_voxels, node_updates),
+    "search": Case(octree.search, lambda: [nodes(), 0, 0, 2]),
     "to_dense": Case(
-        octree.to_dense, lambda: [nodes(), FRAME, np.zeros(720, np.float32)],
-        lambda _, a: not np.isnan(a[2]).any(),
+        octree.to_dense,
+        lambda: [nodes(), FRAME, np.zeros(720, np.float32)],
     ),
     "apply_updates": Case(
-        clearance.apply_updates, updates,
-        lambda result, a: 0 <= result <= 7 and set(a[3].tolist()) <= {0, 1, 2} and a[4].min() >= 0,
+        clearance.apply_updates,
+        updates,
     ),
     "time_to_collision": Case(
-        collision_check.time_to_collision, lambda: [blocked(), GRID, np.zeros(3), points(), 1, 0.1, True],
-        lambda result, _: result == -1.0 or result >= 0.0,
+        collision_check.time_to_collision,
+        lambda: [blocked(), GRID, np.zeros(3), points(), 1, 0.1, True],
     ),
     "known_free_distance": Case(
         collision_check.known_free_distance,
         lambda: [np.zeros(GRID.size, np.int16), np.ones(GRID.size, np.uint8), GRID, points(), 1, 5.0, 1, True],
-        lambda result, _: all(value >= 0.0 for value in result),
     ),
-    "nearest_scan": Case(
-        nearest.scan, lambda: [np.ones((5, 3)), 5, np.zeros(3)], lambda result, _: 0 <= result < 5
-    ),
+    "nearest_scan": Case(nearest.scan, lambda: [np.ones((5, 3)), 5, np.zeros(3)]),
     "nearest_search": Case(
         lambda nodes, target, lower, upper: nearest_in(nodes, target, lower, upper, nearest.search),
         lambda: [curve(), np.zeros(3), LOWER.copy(), UPPER.copy()],
-        lambda result, a: result == nearest.scan(a[0], len(a[0]), a[1]),
     ),
-    "ball_scan": Case(
-        nearest.scan_ball, lambda: [curve(), 30, np.zeros(3), 2.0, np.zeros(30, np.int32)], count_up_to(30)
-    ),
+    "ball_scan": Case(nearest.scan_ball, lambda: [curve(), 30, np.zeros(3), 2.0, np.zeros(30, np.int32)]),
     "ball_search": Case(
         lambda nodes, target, lower, upper, radius, found: nearest_in(
             nodes, target, lower, upper, nearest.search_ball, radius, found
         ),
         lambda: [curve(), np.zeros(3), LOWER.copy(), UPPER.copy(), 2.0, np.zeros(30, np.int32)],
-        lambda result, a: result == nearest.scan_ball(a[0], 30, a[1], a[4], np.zeros(30, np.int32)),
     ),
-    "steer": Case(tree.steer, lambda: [np.zeros(3), np.ones(3), 0.5, np.zeros(3)], never),
+    "steer": Case(tree.steer, lambda: [np.zeros(3), np.ones(3), 0.5, np.zeros(3)]),
     "rrt": Case(
         rrt.plan,
         lambda: [*planning_problem(), 1.0, 0.05, 50, seed_generator(1), rrt.new_tree(51), np.zeros((51, 3))],
-        count_up_to(51),
     ),
     "rrt_star": Case(
         rrt_star.plan,
-        lambda: [*planning_problem(), 1.0, 0.05, 400, 800, seed_generator(1), rrt_star.new_tree(801),
-                 np.zeros((801, 3))],
-        count_up_to(801),
+        lambda: [
+            *planning_problem(),
+            1.0,
+            0.05,
+            400,
+            800,
+            seed_generator(1),
+            rrt_star.new_tree(801),
+            np.zeros((801, 3)),
+        ],
     ),
     "rrt_connect": Case(
         rrt_connect.plan,
-        lambda: [*planning_problem(), 1.0, 50, seed_generator(1), rrt_connect.new_trees(),
-                 np.zeros((2 * rrt_connect.NODE_LIMIT, 3))],
-        count_up_to(2 * rrt_connect.NODE_LIMIT),
+        lambda: [
+            *planning_problem(),
+            1.0,
+            50,
+            seed_generator(1),
+            rrt_connect.new_trees(),
+            np.zeros((2 * rrt_connect.NODE_LIMIT, 3)),
+        ],
     ),
     "nearest_clear": Case(
         paths.nearest_clear,
-        lambda: [blocked(), blocked(), blocked(), GRID, np.array([-1.9, -1.9, 0.1]), LOWER.copy(), UPPER.copy(), 1.5,
-                 np.zeros(3)],
-        never,
+        lambda: [
+            blocked(),
+            blocked(),
+            blocked(),
+            GRID,
+            np.array([-1.9, -1.9, 0.1]),
+            LOWER.copy(),
+            UPPER.copy(),
+            1.5,
+            np.zeros(3),
+        ],
     ),
-    "shortcut_greedy": Case(
-        paths.shortcut_greedy, lambda: [blocked(), GRID, path_of(6), 6], lambda result, _: 2 <= result <= 6
-    ),
+    "shortcut_greedy": Case(paths.shortcut_greedy, lambda: [blocked(), GRID, path_of(6), 6]),
     "shortcut_random": Case(
         paths.shortcut_random,
         lambda: [blocked(), GRID, vertices(6, 12), 6, 20, seed_generator(2), np.zeros((12, 3))],
-        lambda result, _: 0 <= result <= 10,
     ),
     "travel_time": Case(
-        travel.travel_time, lambda: [blocked(), GRID, path_of(6), 6, np.ones(3), PACE], never,
+        travel.travel_time,
+        lambda: [blocked(), GRID, path_of(6), 6, np.ones(3), PACE],
     ),
     "quicken": Case(
         travel.quicken,
-        lambda: [np.zeros(GRID.size, np.int16), blocked(), GRID, LOWER.copy(), UPPER.copy(), path_of(6), 6, np.ones(3),
-                 PACE, 20, seed_generator(2), np.zeros((6, 3))],
-        count_up_to(6),
+        lambda: [
+            np.zeros(GRID.size, np.int16),
+            blocked(),
+            GRID,
+            LOWER.copy(),
+            UPPER.copy(),
+            path_of(6),
+            6,
+            np.ones(3),
+            PACE,
+            20,
+            seed_generator(2),
+            np.zeros((6, 3)),
+        ],
     ),
     "smooth": Case(
         trajectory.smooth,
-        lambda: [np.zeros(GRID.size, np.int16), GRID, path_of(5), 5, 1.0, 0.3, np.zeros((trajectory.CURVE_LIMIT, 3)),
-                 np.zeros((trajectory.CURVE_LIMIT, 3))],
-        lambda result, _: 1 <= result <= trajectory.CURVE_LIMIT,
+        lambda: [
+            np.zeros(GRID.size, np.int16),
+            GRID,
+            path_of(5),
+            5,
+            1.0,
+            0.3,
+            np.zeros((trajectory.CURVE_LIMIT, 3)),
+            np.zeros((trajectory.CURVE_LIMIT, 3)),
+        ],
     ),
     "speed_profile": Case(
         trajectory.speed_profile,
-        lambda: [blocked(), GRID, curve(), 30, 1.0, LIMITS, np.zeros(30), np.zeros(30)], never,
+        lambda: [blocked(), GRID, curve(), 30, 1.0, LIMITS, np.zeros(30), np.zeros(30)],
     ),
     "sample": Case(
         trajectory.sample,
         lambda: [curve(), 30, np.linspace(0, 8.6, 30), np.full(30, 2.0), 0.02, 3.0, 0.0, np.zeros((400, 11))],
-        count_up_to(400),
     ),
     "solve": Case(
-        minimum_snap.solve, timed_points,
-        lambda result, a: not result or bool((np.abs(a[6][:, 1:]) < 1e6).all()),
+        minimum_snap.solve,
+        timed_points,
     ),
-    "coefficients": Case(minimum_snap.coefficients, lambda: [solved()[0], 1, 1.2, np.zeros((8, 3))], never),
-    "peaks": Case(minimum_snap.peaks, lambda: [solved()[0], 1, 1.2], never),
-    "evaluate": Case(
-        minimum_snap.evaluate, lambda: [np.ones((8, 3)), np.zeros(3), 1.2, 0.3, np.zeros(9)], never
-    ),
+    "coefficients": Case(minimum_snap.coefficients, lambda: [solved()[0], 1, 1.2, np.zeros((8, 3))]),
+    "peaks": Case(minimum_snap.peaks, lambda: [solved()[0], 1, 1.2]),
+    "evaluate": Case(minimum_snap.evaluate, lambda: [np.ones((8, 3)), np.zeros(3), 1.2, 0.3, np.zeros(9)]),
     "sample of polynomials": Case(
-        minimum_snap.sample, lambda: [*solved(), 5, 0.02, 3.0, 0.1, 1.5, np.zeros((400, 11))], count_up_to(400)
+        minimum_snap.sample, lambda: [*solved(), 5, 0.02, 3.0, 0.1, 1.5, np.zeros((400, 11))]
     ),
-    "first_knots": Case(
-        knots.first_knots, lambda: [path_of(5), 5, CURVE_LIMITS, knots.new_work()], count_up_to(minimum_snap.KNOT_LIMIT)
-    ),
+    "first_knots": Case(knots.first_knots, lambda: [path_of(5), 5, CURVE_LIMITS, knots.new_work()]),
     "fit": Case(
         time_allocation.fit,
-        lambda: [np.zeros(GRID.size, np.int16), blocked(), GRID, path_of(5), 5, np.array([1.0, 0.5, 0.0]), np.zeros(3),
-                 CURVE_LIMITS, knots.new_work()],
-        lambda result, a: result == 0 or bool(np.isfinite(a[8].ends[:result]).all()),
+        lambda: [
+            np.zeros(GRID.size, np.int16),
+            blocked(),
+            GRID,
+            path_of(5),
+            5,
+            np.array([1.0, 0.5, 0.0]),
+            np.zeros(3),
+            CURVE_LIMITS,
+            knots.new_work(),
+        ],
     ),
-    "hold_points": Case(
-        trajectory.hold_points, lambda: [points(50), 50, 25, 0.02, 15, np.zeros((400, 11))], count_up_to(400)
-    ),
-    "advance_index": Case(
-        waypoint.advance_index, lambda: [points(), 3, 0.0, np.zeros(11)], lambda result, _: 3 <= result <= 4
-    ),
-    "arc_lengths": Case(waypoint.arc_lengths, lambda: [points(), np.zeros(8)], never),
+    "hold_points": Case(trajectory.hold_points, lambda: [points(50), 50, 25, 0.02, 15, np.zeros((400, 11))]),
+    "advance_index": Case(waypoint.advance_index, lambda: [points(), 3, 0.0, np.zeros(11)]),
+    "arc_lengths": Case(waypoint.arc_lengths, lambda: [points(), np.zeros(8)]),
     "advance_clock": Case(
         waypoint.advance_clock,
-        lambda: [np.array([1.0, 0.5, 0.0]), points(), np.linspace(0, 5, 8), 0.02, 3.0, 4.0, 2.5, 0.5, 1.0], never,
+        lambda: [np.array([1.0, 0.5, 0.0]), points(), np.linspace(0, 5, 8), 0.02, 3.0, 4.0, 2.5, 0.5, 1.0],
     ),
-    "reference": Case(waypoint.reference, lambda: [np.array([1.0, 0.5, 0.0]), points(), np.zeros(11)], never),
-    "align": Case(
-        state_estimation.align, lambda: [np.ones(16), np.eye(15), np.ones(4), SENSORS, ALIGNED], never
-    ),
-    "turn": Case(state_estimation.turn, lambda: [np.array((1.0, 0.0, 0.0, 0.0)), 0.1, 0.2, 0.3], never),
-    "predict": Case(
-        state_estimation.predict, lambda: [estimate(), np.eye(15), np.ones(6), 0.004, SENSORS], never
-    ),
+    "reference": Case(waypoint.reference, lambda: [np.array([1.0, 0.5, 0.0]), points(), np.zeros(11)]),
+    "align": Case(state_estimation.align, lambda: [np.ones(16), np.eye(15), np.ones(4), SENSORS, ALIGNED]),
+    "turn": Case(state_estimation.turn, lambda: [np.array((1.0, 0.0, 0.0, 0.0)), 0.1, 0.2, 0.3]),
+    "predict": Case(state_estimation.predict, lambda: [estimate(), np.eye(15), np.ones(6), 0.004, SENSORS]),
     "correct": Case(
-        state_estimation.correct, lambda: [estimate(), np.eye(15), np.ones(4), SENSORS],
-        lambda result, _: isinstance(result, float),
+        state_estimation.correct,
+        lambda: [estimate(), np.eye(15), np.ones(4), SENSORS],
     ),
-    "usable_sample": Case(state_estimation.usable_sample, lambda: [np.ones(6)], lambda result, _: result in (0, 1)),
-    "usable_fix": Case(state_estimation.usable_fix, lambda: [np.ones(4)], lambda result, _: result in (0, 1)),
-    "track": Case(
-        pid.track, lambda: [np.ones(11), np.ones(13), np.zeros(pid.MEMORY_WIDTH), GAINS, 0.02, np.zeros(4)], never
-    ),
-}  # fmt: skip
-"""Results and work space come last and are corrupted, too: kernels may not rely on what is in them."""
-
-
-def corrupted(case):
-    """Argument lists in which one number, or all numbers of one array, are corrupted."""
-    for position, argument in enumerate(case.arguments()):
-        if isinstance(argument, float):
-            places = [None]
-        elif isinstance(argument, np.ndarray) and argument.dtype.kind == "f":
-            middle = argument.size // 2
-            places = [0, middle, argument.size - 1, slice(None)]
-        elif isinstance(argument, pid.Gains | trajectory.Limits | travel.Pace | Noise | Spread | knots.CurveLimits):
-            places = [name for name, value in argument._asdict().items() if isinstance(value, float)]
-        elif isinstance(argument, octree.Octree) or (
-            isinstance(argument, knots.Work) and case.function is time_allocation.fit
-        ):
-            yield from struck_memory(case, position)
-            continue
-        else:
-            continue
-        for place in places:
-            for value in SPECIAL:
-                arguments = case.arguments()
-                if place is None:
-                    arguments[position] = value
-                elif isinstance(place, str):
-                    arguments[position] = argument._replace(**{place: value})
-                else:
-                    with np.errstate(over="ignore"):
-                        arguments[position].reshape(-1)[place] = value
-                yield f"argument {position}, place {place}, value {value}", arguments
-
-
-def struck_memory(case, position):
-    """Argument lists in which numbers of a kernel's memory, a tuple of arrays, are as a flipped bit may leave them."""
-    for name, array in case.arguments()[position]._asdict().items():
-        values = SPECIAL if array.dtype.kind == "f" else (-1, 0, 1, 7, len(array), 2**30, -(2**31), 2**31 - 1)
-        for place in (0, 1, min(9, array.size - 1), slice(None)):
-            for value in values:
-                arguments = case.arguments()
-                with np.errstate(over="ignore"):
-                    getattr(arguments[position], name).reshape(-1)[place] = value
-                yield f"argument {position}.{name}, place {place}, value {value}", arguments
-
-
-@kernel_jit
-def read_at(values, index):
-    """The canary: reads at the given place."""
-    return values[index]
-
-
-def main() -> None:
-    """Feed corrupted numbers to all kernels."""
-    try:
-        read_at(np.zeros(3), 5)
-    except IndexError:
-        pass
-    else:
-        raise SystemExit("bounds are not checked")
-    total = 0
-    for name, case in CASES.items():
-        for label, arguments in corrupted(case):
-            try:
-                case.function(*arguments)
-            except IndexError as error:
-                raise SystemExit(f"{name}: {label}: {error}") from None
-            total += 1
-    sys.stdout.write(f"{total}\n")
-
-
-if __name__ == "__main__":
-    main()
+    "usable_sample": Case(state_estimation.usable_sample, lambda: [np.ones(6)]),
+    "usable_fix": Case(state_estimation.usable_fix, lambda: [np.ones(4)]),
+    "track": Case(pid.track, lambda: [np.ones(11), np.ones(13), np.zeros(pid.MEMORY_WIDTH), GAINS, 0.02, np.zeros(4)]),
+}

@@ -101,8 +101,8 @@ class OffsetLevel(Level):
     absent = ("published", "there was no way-point")
 
     def parse(self, text, localization):
-        parts = self.parts_of(text)
-        return OffsetRequest(float(parts.site), parts.time_us or 0)
+        text_parts = self.parts_of(text)
+        return OffsetRequest(float(text_parts.site), text_parts.time_us or 0)
 
     def text_of(self, fault):
         return f"offset:{fault.metres}@{fault.time_us / 1e6}"
@@ -122,12 +122,12 @@ class OffsetFlights(fakes.FakeFlights):
     """From 3 m on, the vehicle hits something."""
 
     def injected(self, runs):
-        for place, (arm, fault) in enumerate(runs):
+        for index, (arm, fault) in enumerate(runs):
             flight = fakes.fly(self.arms[arm], None, None)
             status = MissionStatus.COLLISION if fault.metres >= 3.0 else MissionStatus.SUCCESS
             injection = Injection("offset", fault.site, 1.0, None, 0.0, fault.metres, True)
             flight.log = replace(flight.log, status=status, injections=[injection])
-            yield place, flight
+            yield index, flight
 
 
 class OffsetHost(fakes.FakeHost):
@@ -187,9 +187,9 @@ def test_a_campaign_draws_it_and_its_runs_are_told_and_made_smaller(tmp_path, ca
     runs = Runs.read(tmp_path)
     faulty = runs.where(setting="fi")
     assert set(faulty["target"]) == {"way-point"} and set(faulty["field"]) == {"x"} and len(faulty["run_id"]) == 6
-    found = shrink(tmp_path, faulty.first("run_id"))
-    assert [(step.what, step.tried) for step in found.steps] == [("distance", 3)]
-    assert text_of(found.smallest.fault) == "offset:4.0@0.0"
+    smallest = shrink(tmp_path, faulty.first("run_id"))
+    assert [(step.what, step.tried) for step in smallest.steps] == [("distance", 3)]
+    assert text_of(smallest.smallest.fault) == "offset:4.0@0.0"
     assert run(["shrink", str(tmp_path), faulty.first("run_id")]) == 0
     assert "--fault offset:4.0@0.0" in capsys.readouterr().out
 

@@ -110,12 +110,12 @@ def test_a_user_without_a_home_has_a_folder_that_no_other_can_write(monkeypatch,
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(jit.Path, "home", no_home)
     monkeypatch.setattr(jit.tempfile, "gettempdir", lambda: str(tmp_path))
-    own = tmp_path / f"mavfi-{os.getuid()}"
-    assert jit._cache_root() == own and own.stat().st_mode & 0o777 == 0o700
-    own.chmod(0o777)
+    user_folder = tmp_path / f"mavfi-{os.getuid()}"
+    assert jit._cache_root() == user_folder and user_folder.stat().st_mode & 0o777 == 0o700
+    user_folder.chmod(0o777)
     assert not jit._cache_root().exists()
-    own.rmdir()
-    own.symlink_to(tmp_path)
+    user_folder.rmdir()
+    user_folder.symlink_to(tmp_path)
     assert not jit._cache_root().exists()
 
 

@@ -16,11 +16,11 @@ class Plain:
         self.changes = Changes(self.array)
 
     def write(self, writes):
-        places = np.array([place for place, _ in writes], np.int32)
+        places = np.array([index for index, _ in writes], np.int32)
         before = []
-        for place, value in writes:
-            before.append(self.array[place])
-            self.array[place] = value
+        for index, value in writes:
+            before.append(self.array[index])
+            self.array[index] = value
         self.changes.note(places, np.array(before, np.float32), self.array[places])
 
     def restore(self, saved):

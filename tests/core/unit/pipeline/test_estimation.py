@@ -55,14 +55,14 @@ def test_it_says_nothing_before_the_first_fix():
     assert not values[3:6].any() and not values[13:].any()
 
 
-@pytest.mark.parametrize("place", range(6))
+@pytest.mark.parametrize("index", range(6))
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, -500.0])
-def test_a_sample_that_cannot_be_is_replaced_by_the_last_one(place, value):
+def test_a_sample_that_cannot_be_is_replaced_by_the_last_one(index, value):
     struck, calm = Flight(), Flight()
     for flight in (struck, calm):
         flight.hover(50)
     wrong = np.array(HOVER)
-    wrong[place] = value
+    wrong[index] = value
     struck.step(imu=sample(wrong))
     calm.step()
     assert same(struck.step(), calm.step())

@@ -33,7 +33,7 @@ class Own:
         pass
 
 
-def own(monkeypatch, **broken):
+def custom_map(monkeypatch, **broken):
     """A map of the class above with other attributes."""
     kind = type("Own", (Own,), broken)
     monkeypatch.setattr(maps, "find_map", lambda name: kind)
@@ -65,7 +65,7 @@ def raising(*_):
 )
 def test_a_class_that_does_not_fit_is_found_when_it_is_built(monkeypatch, broken, message):
     with pytest.raises(BadInputError, match=f"map 'mine:Own': {message}"):
-        own(monkeypatch, **broken)
+        custom_map(monkeypatch, **broken)
 
 
 @pytest.mark.parametrize(
@@ -81,14 +81,14 @@ def test_a_class_that_does_not_fit_is_found_when_it_is_built(monkeypatch, broken
     ],
 )
 def test_an_answer_that_does_not_fit_is_found_at_the_first_scan(monkeypatch, answer, message):
-    guarded = own(monkeypatch, answer=answer)
+    guarded = custom_map(monkeypatch, answer=answer)
     with pytest.raises(BadInputError, match=message) as caught:
         guarded.insert(*scan())
     assert str(caught.value).startswith("map 'mine:Own': ") and "\n" not in str(caught.value)
 
 
 def test_what_a_map_raises_is_one_line_that_names_it(monkeypatch):
-    guarded = own(monkeypatch, insert=raising)
+    guarded = custom_map(monkeypatch, insert=raising)
     with pytest.raises(BadInputError, match="map 'mine:Own': insert raised RuntimeError: two lines"):
         guarded.insert(*scan())
 

@@ -92,17 +92,17 @@ def numbers(states):
 
 def test_the_check_continues_counting():
     undisturbed, back, fresh = check(), check(), check()
-    said = status(seq=6)
-    undisturbed.receive(said, 0)
-    assert back.resume(last(said), 0) == ()
+    last_status = status(seq=6)
+    undisturbed.receive(last_status, 0)
+    assert back.resume(last(last_status), 0) == ()
     for kernel in (undisturbed, back, fresh):
         flying(kernel, epoch=6)
     assert same(undisturbed.step(0), back.step(0))
     assert numbers(back.step(0)) == [(7, True)] and numbers(fresh.step(0)) == [(1, True)]
 
 
-@pytest.mark.parametrize(("alarm", "said"), [("one_shot", (1, False)), ("repeated", (1, True))])
-def test_an_alarm_is_said_again_with_its_number_until_it_is_answered(alarm, said):
+@pytest.mark.parametrize(("alarm", "repeated"), [("one_shot", (1, False)), ("repeated", (1, True))])
+def test_an_alarm_is_said_again_with_its_number_until_it_is_answered(alarm, repeated):
     kernel = check(alarm=alarm)
     flying(kernel)
     (first,) = kernel.step(0)
@@ -110,7 +110,7 @@ def test_an_alarm_is_said_again_with_its_number_until_it_is_answered(alarm, said
     for _ in range(2):
         kernel.receive(first, 0)
         (first,) = kernel.step(0)
-        assert numbers([first]) == [said]
+        assert numbers([first]) == [repeated]
     kernel.receive(first, 0)
     flying(kernel, epoch=1)
     assert numbers(kernel.step(0)) == [(2, True)]
@@ -129,14 +129,14 @@ def test_the_tracker_continues_with_the_way_point_in_force():
     assert Tracker(config()).resume(last(in_force), TICK) == (), "it has tracked nothing yet"
 
 
-def setpoint_generator(autopilot, *given):
+def setpoint_generator(autopilot, *received):
     kernel = SetpointGenerator(config(autopilot))
     kernel.receive(odometry(), 0)
     published = kernel.step(0)
-    for place, states in enumerate(given, 1):
+    for tick, states in enumerate(received, 1):
         for state in states:
-            kernel.receive(state, place * TICK)
-        published = kernel.step(place * TICK) or published
+            kernel.receive(state, tick * TICK)
+        published = kernel.step(tick * TICK) or published
     return kernel, published[-1]
 
 
@@ -172,13 +172,16 @@ def test_a_trajectory_that_was_given_up_is_not_flown_again():
 def test_the_estimator_goes_on_from_its_last_estimate_and_takes_the_next_fix():
     flown = Flight()
     flown.hover(200)
-    (said,) = flown.step(imu=None)
+    (estimate,) = flown.step(imu=None)
     back = Flight()
     back.time_us = flown.time_us + TICK
-    assert back.kernel.resume(last(said, fix(x=50.0)), back.time_us) == ("sensor.position",), "older than the estimate"
+    assert back.kernel.resume(last(estimate, fix(x=50.0)), back.time_us) == ("sensor.position",), (
+        "older than the estimate"
+    )
     (again,) = back.step()
     np.testing.assert_array_equal(
-        floats(again.header, 19)[[*range(10), *range(13, 19)]], floats(said.header, 19)[[*range(10), *range(13, 19)]]
+        floats(again.header, 19)[[*range(10), *range(13, 19)]],
+        floats(estimate.header, 19)[[*range(10), *range(13, 19)]],
     )
     (moved,) = back.step(fix(x=1.3))
     assert moved.header["x"][0] == pytest.approx(1.3, abs=0.01), "it may have moved meanwhile"

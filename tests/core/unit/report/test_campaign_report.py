@@ -41,14 +41,14 @@ def test_report_shows_every_table_and_figure(written):
 def test_readme_block_is_the_success_table_with_its_origin(written):
     text = read(written, "readme_block.md")
     assert text.startswith("**State level: success rates, one fault per mission**\n\nGenerated on ")
-    parts = (
+    paragraphs = (
         "campaign tiny",
         "autopilot profile published",
         "numba",
         "seeds 10000 to 10001",
         "| Golden run | here |",
     )
-    for part in parts:
+    for part in paragraphs:
         assert part in text
     assert "## " not in text
 

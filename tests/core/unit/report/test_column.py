@@ -14,31 +14,31 @@ def width_of(path):
 
 
 def test_each_figure_is_written(runs, tmp_path):
-    for one in drawn(runs):
-        paths = write_figure(one.figure, tmp_path, one.name)
+    for shown in drawn(runs):
+        paths = write_figure(shown.figure, tmp_path, shown.name)
         assert [path.suffix for path in paths] == [".pdf", ".png"]
         assert paths[0].read_bytes().startswith(b"%PDF")
         assert width_of(paths[1]) in (round(600 * COLUMN), round(600 * PAGE))
 
 
 def test_figures_for_talks_have_the_shape_of_a_slide(runs, tmp_path):
-    for one in drawn(runs):
-        picture, pixels = write_talk_figure(one.figure, tmp_path, one.name)
-        assert (picture.name, pixels.name) == (f"{one.name}-talk.svg", f"{one.name}-talk.png")
+    for shown in drawn(runs):
+        picture, pixels = write_talk_figure(shown.figure, tmp_path, shown.name)
+        assert (picture.name, pixels.name) == (f"{shown.name}-talk.svg", f"{shown.name}-talk.png")
         with Image.open(pixels) as image:
             assert image.width * 9 == pytest.approx(image.height * 16, rel=1e-3) and image.width >= 2559
-        check_texts(one.figure)
+        check_texts(shown.figure)
 
 
 def texts_of(figure):
     """Every visible text with its extent; tick labels of a panel only within its limits."""
     figure.draw_without_rendering()
-    found = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
         low, high = sorted(axis.get_view_interval())
         unseen = {id(tick.label1) for tick in axis.get_major_ticks() if not low <= tick.get_loc() <= high}
-        found = [text for text in found if id(text) not in unseen]
-    return [(text.get_text(), text.get_window_extent()) for text in found]
+        texts = [text for text in texts if id(text) not in unseen]
+    return [(text.get_text(), text.get_window_extent()) for text in texts]
 
 
 def check_texts(figure):
@@ -46,13 +46,13 @@ def check_texts(figure):
     page = figure.bbox.padded(1.0)
     assert not [name for name, box in texts if not (page.contains(box.x0, box.y0) and page.contains(box.x1, box.y1))]
     assert not [
-        (one, other)
-        for (one, box), (other, further) in combinations(texts, 2)
+        (text, other)
+        for (text, box), (other, further) in combinations(texts, 2)
         if box.padded(-1.0).overlaps(further.padded(-1.0))
     ]
 
 
 def test_no_text_of_the_figures_of_a_campaign_lies_over_another(runs):
-    for one in drawn(runs):
-        fit_to_column(one.figure)
-        check_texts(one.figure)
+    for shown in drawn(runs):
+        fit_to_column(shown.figure)
+        check_texts(shown.figure)

@@ -14,11 +14,17 @@ ARM = {"setting": "dr_gaussian", "arm": "gaussian", "detector": "gaussian"}
 
 def linked(axes, kind=None):
     """Links of a panel, by kind: points, areas, lines."""
-    found = []
+    urls = []
     for wanted in (PathCollection, PolyCollection):
         if kind in (None, wanted):
-            found += [url for one in axes.collections if isinstance(one, wanted) for url in one.get_urls() if url]
-    return found + [line.get_url() for line in axes.lines if kind is None and line.get_url()]
+            urls += [
+                url
+                for collection in axes.collections
+                if isinstance(collection, wanted)
+                for url in collection.get_urls()
+                if url
+            ]
+    return urls + [line.get_url() for line in axes.lines if kind is None and line.get_url()]
 
 
 def ids(url):
@@ -33,7 +39,7 @@ def opened(urls):
 
 
 def behind(*groups):
-    return sorted(sorted(own["run_id"]) for own in groups)
+    return sorted(sorted(group["run_id"]) for group in groups)
 
 
 @pytest.fixture(scope="module")
@@ -44,19 +50,19 @@ def flown_by_hand():
         rows += [golden(environment=environment, flight_time_s=38.0 + seed) for seed in range(3)]
         rows.append(golden(environment=environment, setting="golden_gaussian", arm="gaussian", detector="gaussian"))
         for setting in ({}, ARM):
-            for place, target in enumerate(("waypoint", "cloud", "waypoint", "cloud", "waypoint")):
+            for index, target in enumerate(("waypoint", "cloud", "waypoint", "cloud", "waypoint")):
                 common = {
                     "environment": environment,
                     "target": target,
                     "state": f"planning.{target}",
                     **setting,
-                    "flight_time_s": 40.0 + place,
-                    "inflation": 0.01 * place if place != 1 else None,
-                    "success": place != 1,
-                    "index": place,
+                    "flight_time_s": 40.0 + index,
+                    "inflation": 0.01 * index if index != 1 else None,
+                    "success": index != 1,
+                    "index": index,
                 }
                 rows.append(common)
-                rows.append({**common, "population": "mantissa", "bit_class": "mantissa", "index": 10 + place})
+                rows.append({**common, "population": "mantissa", "bit_class": "mantissa", "index": 10 + index})
             rows.append({"environment": environment, "judged": False, "success": False, **setting})
     return runs(*rows)
 
@@ -64,13 +70,13 @@ def flown_by_hand():
 @pytest.fixture(scope="module")
 def instructions_by_hand():
     rows = [golden(flight_time_s=38.0)]
-    for place, kernel in enumerate(("pid", "octomap", "pid")):
+    for index, kernel in enumerate(("pid", "octomap", "pid")):
         common = {
             "level": "instruction",
             "population": "all_bits",
             "kernel": kernel,
-            "flight_time_s": 40.0 + place,
-            "success": place != 2,
+            "flight_time_s": 40.0 + index,
+            "success": index != 2,
         }
         rows += [common, {**common, **ARM}]
     return runs(*rows)
@@ -83,9 +89,9 @@ def instructions_by_hand():
 def test_rows_open_their_missions_and_boxes_those_that_succeed(
     flown_by_hand, instructions_by_hand, name, select, column
 ):
-    own = instructions_by_hand if name == "kernels" else flown_by_hand
-    shown = select(own)
-    panels = figures.figure(own, name).axes
+    campaign_runs = instructions_by_hand if name == "kernels" else flown_by_hand
+    shown = select(campaign_runs)
+    panels = figures.figure(campaign_runs, name).axes
     for times, success, environment in zip(panels[::2], panels[1::2], shown.values("environment"), strict=True):
         groups = shown.where(environment=environment).groups(column).values()
         assert opened(linked(success)) == behind(*groups)

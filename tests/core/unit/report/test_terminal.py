@@ -27,9 +27,9 @@ def printed(table, width):
 def test_no_word_is_broken(width):
     shown = printed(TABLE, width)
     assert all(len(line) <= width for line in shown.splitlines())
-    words = shown.split()
+    shown_words = shown.split()
     for cell in (*(column.heading for column in TABLE.columns), *(cell for row in TABLE.rows for cell in row)):
-        assert set(cell.split()) <= set(words), cell
+        assert set(cell.split()) <= set(shown_words), cell
 
 
 def test_rows_that_begin_alike_are_grouped():

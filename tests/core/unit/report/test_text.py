@@ -59,9 +59,9 @@ def test_null_runs_are_reported_either_way():
 
 def test_runs_that_could_not_be_judged_are_named():
     assert text.checks(runs(golden(1))) == ["Null runs: none flown."]
-    own = runs(golden(1), injected(1, UNKNOWN))
-    unknown = f"Unknown: 1 runs could not be judged: {own.injected['run_id'][0]}"
-    assert text.checks(own) == ["Null runs: none flown.", unknown]
+    campaign_runs = runs(golden(1), injected(1, UNKNOWN))
+    unknown = f"Unknown: 1 runs could not be judged: {campaign_runs.injected['run_id'][0]}"
+    assert text.checks(campaign_runs) == ["Null runs: none flown.", unknown]
 
 
 def test_a_campaign_that_is_not_complete_or_on_design_seeds_says_so():

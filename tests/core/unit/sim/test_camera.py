@@ -35,10 +35,10 @@ def test_an_absurd_position_ends_and_invents_no_range(world, value, field):
 
 def test_noise_is_proportional_and_addressed_by_the_instant():
     world = open_world(lower=[(8.0, -90.0, 0.0)], upper=[(9.0, 90.0, 90.0)])
-    place = (1.0, 0.0, 40.0)
-    _, clean = capture(world, place)
-    _, noisy = capture(world, place, time_us=40_000, noise=0.05)
+    position = (1.0, 0.0, 40.0)
+    _, clean = capture(world, position)
+    _, noisy = capture(world, position, time_us=40_000, noise=0.05)
     assert np.std(noisy / clean) == pytest.approx(0.05, rel=0.1)
-    np.testing.assert_array_equal(noisy, capture(world, place, time_us=40_000, noise=0.05)[1])
-    assert (noisy != capture(world, place, time_us=44_000, noise=0.05)[1]).any()
-    assert (noisy != capture(world, place, time_us=40_000, noise=0.05, key=2)[1]).any()
+    np.testing.assert_array_equal(noisy, capture(world, position, time_us=40_000, noise=0.05)[1])
+    assert (noisy != capture(world, position, time_us=44_000, noise=0.05)[1]).any()
+    assert (noisy != capture(world, position, time_us=40_000, noise=0.05, key=2)[1]).any()

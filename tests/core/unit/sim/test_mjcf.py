@@ -40,17 +40,17 @@ def free(inside, name="mine"):
 def vehicle(folder, model=None, **keys):
     if model is not None:
         (folder / "body.xml").write_text(model, encoding="utf-8")
-    own = [line for line in YAML.splitlines(keepends=True) if line.split(":")[0] not in keys]
-    text = "".join([*own, *(f"{key}: {value}\n" for key, value in keys.items())])
+    lines = [line for line in YAML.splitlines(keepends=True) if line.split(":")[0] not in keys]
+    text = "".join([*lines, *(f"{key}: {value}\n" for key, value in keys.items())])
     (folder / "mine.yaml").write_text(text, encoding="utf-8")
     return find_vehicle(str(folder / "mine.yaml"))
 
 
 def test_mass_and_inertia_of_a_box_are_those_of_the_textbook(tmp_path):
-    found = vehicle(tmp_path, xml(free(ROD)))
+    config = vehicle(tmp_path, xml(free(ROD)))
     expected = [2 / 12 * (a**2 + b**2) for a, b in ((0.2, 0.1), (0.4, 0.1), (0.4, 0.2))]
-    assert found.mass == pytest.approx(2.0)
-    np.testing.assert_allclose(found.inertia, expected, rtol=1e-12)
+    assert config.mass == pytest.approx(2.0)
+    np.testing.assert_allclose(config.inertia, expected, rtol=1e-12)
 
 
 def test_parts_are_added_about_the_common_centre_of_mass_in_the_axes_of_the_body(tmp_path):
@@ -58,10 +58,10 @@ def test_parts_are_added_about_the_common_centre_of_mass_in_the_axes_of_the_body
     ends = f'{light}<body pos="-0.1 0 0">{heavy}</body>'
     (tmp_path / "body.xml").write_text(xml(f'<body pos="1 2 3" euler="0 0 90"><freejoint/>{ends}</body>'), "utf-8")
     body = measure(tmp_path / "body.xml")
-    own = 4 * 0.4 * 0.01**2
+    inertia = 4 * 0.4 * 0.01**2
     assert body.mass == pytest.approx(4.0) and body.reach == pytest.approx(0.31)
     np.testing.assert_allclose(body.centre, 0.0, atol=1e-12)
-    np.testing.assert_allclose(body.inertia, (own, own + 0.12, own + 0.12), rtol=1e-9)
+    np.testing.assert_allclose(body.inertia, (inertia, inertia + 0.12, inertia + 0.12), rtol=1e-9)
 
 
 def test_a_mesh_reaches_as_far_as_its_vertices_not_as_its_bounding_sphere(tmp_path):
@@ -80,9 +80,9 @@ def test_the_model_that_flies_has_the_centre_of_mass_at_its_origin_and_only_the_
         '<keyframe><key qpos="0 0 0 1 0 0 0"/></keyframe>',
         '<option timestep="0.1" gravity="0 0 -1" integrator="RK4"/>',
     )
-    found = vehicle(tmp_path, odd)
+    config = vehicle(tmp_path, odd)
     world = cuboids(1, 0.05, 6.0)
-    model, plain = build_model(world, found), build_model(world, shipped("vehicles", VehicleConfig, "airsim_quad"))
+    model, plain = build_model(world, config), build_model(world, shipped("vehicles", VehicleConfig, "airsim_quad"))
     assert (model.nq, model.nv, model.nu, model.nkey) == (7, 6, 0, 0)
     assert model.nsensordata == plain.nsensordata and model.opt.timestep == 0.004
     np.testing.assert_array_equal(model.opt.gravity, plain.opt.gravity)
@@ -92,7 +92,7 @@ def test_the_model_that_flies_has_the_centre_of_mass_at_its_origin_and_only_the_
     np.testing.assert_allclose(data.subtree_com[1], world.start, atol=1e-12)
     mass = np.zeros((6, 6))
     mujoco.mj_fullM(model, data, mass)
-    np.testing.assert_allclose(np.diag(mass), [found.mass] * 3 + list(found.inertia), rtol=1e-9)
+    np.testing.assert_allclose(np.diag(mass), [config.mass] * 3 + list(config.inertia), rtol=1e-9)
     np.testing.assert_allclose(mass[:3, 3:], 0.0, atol=1e-12)
 
 
@@ -150,13 +150,13 @@ def test_a_yaml_file_that_does_not_agree_with_its_model_is_refused(tmp_path, key
 
 
 def test_a_model_that_was_changed_since_it_was_read_is_refused(tmp_path):
-    found = vehicle(tmp_path, xml(free(ROD)))
+    config = vehicle(tmp_path, xml(free(ROD)))
     (tmp_path / "body.xml").write_text(xml(free(ROD.replace('"2"', '"3"'))), encoding="utf-8")
     with pytest.raises(BadInputError, match="body.xml: weighs 3 kg and not 2 kg as before"):
-        build_model(open_world(), found)
+        build_model(open_world(), config)
     (tmp_path / "body.xml").unlink()
     with pytest.raises(BadInputError, match="body.xml: there is no such file"):
-        build_model(open_world(), found)
+        build_model(open_world(), config)
 
 
 @pytest.mark.parametrize(("thrust", "lifts"), [(4.903325, False), (4.91, True)])

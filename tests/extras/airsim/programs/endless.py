@@ -1,6 +1,6 @@
-"""Never ends: argument `sleep` (simulated time passes), `pause` (only wall-clock time passes), `event`, `input`."""
+"""Never ends: argument `sleep` (simulated time passes), `pipe` (only wall-clock time passes), `event`, `input`."""
 
-import signal
+import os
 import sys
 import threading
 import time
@@ -12,8 +12,8 @@ client.ping()
 while True:
     if sys.argv[1] == "sleep":
         time.sleep(1.0)
-    if sys.argv[1] == "pause":
-        signal.pause()
+    if sys.argv[1] == "pipe":
+        os.read(os.pipe()[0], 1)
     if sys.argv[1] == "event":
         threading.Thread(target=threading.Lock().acquire, daemon=True).start()
         threading.Event().wait()

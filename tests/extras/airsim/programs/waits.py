@@ -117,9 +117,9 @@ stopped = threading.Event()
 
 
 def watch():
-    own = airsim.MultirotorClient()
+    watching_client = airsim.MultirotorClient()
     while not stopped.wait(0.5):
-        readings.append(-own.simGetVehiclePose().position.z_val)
+        readings.append(-watching_client.simGetVehiclePose().position.z_val)
 
 
 watcher = threading.Thread(target=watch)

@@ -12,11 +12,11 @@ HOT, COLD = 100.0, 1.0
 def graph(operands, executions, outside=(), kinds=None):
     """Values with the given operands (indices); those in `outside` are used by something that cannot be duplicated."""
     values = [
-        Value(ModuleSite(0, i, 0), "add", (kinds or {}).get(i, "i64"), float(executions[i]), tuple(own))
-        for i, own in enumerate(operands)
+        Value(ModuleSite(0, i, 0), "add", (kinds or {}).get(i, "i64"), float(executions[i]), tuple(inputs))
+        for i, inputs in enumerate(operands)
     ]
-    for user, own in enumerate(operands):
-        for operand in own:
+    for user, inputs in enumerate(operands):
+        for operand in inputs:
             values[operand].uses.append(Use(user, f"%b{user}", values[user].executions))
     for i in outside:
         values[i].uses.append(Use(OUTSIDE, f"%out{i}", values[i].executions))
@@ -31,15 +31,18 @@ def graphs(draw, most=7):
     outside = draw(st.sets(st.integers(0, n - 1)))
     benefit = [draw(st.integers(0, 60)) for _ in range(n)]
     kinds = {i: draw(st.sampled_from(["i64", "double"])) for i in range(n)}
-    return Candidates(graph([sorted(own) for own in operands], executions, outside, kinds), benefit, 0.5)
+    return Candidates(graph([sorted(inputs) for inputs in operands], executions, outside, kinds), benefit, 0.5)
 
 
 @given(graphs(), graphs(), st.floats(0, 600))
 def test_a_budget_is_never_exceeded_and_a_large_one_buys_all_that_is_worth_anything(first, second, budget):
     functions = [first, second]
     chosen = choose(functions, budget)
-    assert sum(0.5 * total_cost(own.values, picked) for own, picked in zip(functions, chosen, strict=True)) <= budget
-    worth = [{index for index, benefit in enumerate(own.benefit) if benefit} for own in functions]
+    assert (
+        sum(0.5 * total_cost(function.values, picked) for function, picked in zip(functions, chosen, strict=True))
+        <= budget
+    )
+    worth = [{index for index, benefit in enumerate(function.benefit) if benefit} for function in functions]
     assert choose(functions, 1e9) == worth
 
 

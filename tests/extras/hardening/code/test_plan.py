@@ -70,8 +70,8 @@ def test_a_plan_of_an_earlier_version_says_how_to_make_it_again(key, tmp_path):
 
 
 def test_the_time_of_a_kernel_weights_its_functions_by_their_shares():
-    parts = of(time=1.2, share=0.75), of(function="m.g", time=1.8, share=0.05), of(kernel="octomap", function="m.h")
-    plan = ProtectionPlan(functions=parts)
+    functions = of(time=1.2, share=0.75), of(function="m.g", time=1.8, share=0.05), of(kernel="octomap", function="m.h")
+    plan = ProtectionPlan(functions=functions)
     assert plan.time_of("pid") == pytest.approx(1 + 0.75 * 0.2 + 0.05 * 0.8) and plan.time_of("rrt") == 1.0
     old = ProtectionPlan(functions=(of(time=1.2, share=0.75), of(function="m.g", time=1.8)))
     assert old.time_of("pid") == 1.8, "the largest, if a share is not known"

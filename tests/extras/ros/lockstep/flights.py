@@ -28,6 +28,8 @@ def same(log, other):
     """Whether two records agree in everything: bits, events, injections, alarms, counts."""
     assert log.digest() == other.digest()
     assert log.alarms == other.alarms
-    assert [one.to_json() for one in log.injections] == [one.to_json() for one in other.injections]  # infinity is text
+    assert [injection.to_json() for injection in log.injections] == [
+        injection.to_json() for injection in other.injections
+    ]  # infinity is text
     assert json.loads(json.dumps(log.meta)) == json.loads(json.dumps(other.meta))
     assert log.events == other.events

@@ -30,8 +30,8 @@ def folders(tmp_path, monkeypatch):
 def test_the_folder_of_a_killed_process_is_removed_by_the_next_flight(folders):
     subprocess.run([sys.executable, "-c", KILLED], check=False)
     (left,) = folders()
-    with new_folder() as own:
-        assert folders() == [own] and own != left
+    with new_folder() as folder:
+        assert folders() == [folder] and folder != left
     assert folders() == []
 
 
@@ -49,8 +49,8 @@ def test_a_removal_that_is_cut_short_is_completed_by_the_next_flight(folders, mo
 
 
 def test_the_folder_of_a_flight_in_progress_is_left_alone(folders):
-    with new_folder() as one, new_folder() as other:
-        assert folders() == sorted([one, other])
+    with new_folder() as first, new_folder() as other:
+        assert folders() == sorted([first, other])
     assert folders() == []
 
 

@@ -9,11 +9,9 @@ from mavfi.extras.bench.sealed import Checksum, Duplicate
 from mavfi.extras.ros.lockstep.host import configure, isolation
 from mavfi.extras.ros.lockstep.plan import INJECTOR, WORLD, FlightGraph, FlightPlan
 from mavfi.faults.fault import FaultSite
-from mavfi.flight.compose import new_loop
 from mavfi.levels.state.fault import StateFault
 from mavfi.pipeline.ppc import build_pipeline
-from mavfi.states import PERIODIC, STATES
-from tests.core.flights.missions import each_autopilot, mission
+from tests.core.flights.missions import mission
 from tests.extras.ros.lockstep.needs import NOWHERE
 
 
@@ -30,17 +28,6 @@ def test_every_kernel_is_run_by_one_node():
     nodes = FlightGraph(pipeline()).nodes
     assert sorted(kernel for kernels in nodes.values() for kernel in kernels) == sorted(pipeline())
     assert nodes["planner"] == ("planner", "trajectory")
-
-
-def test_without_taps_values_go_straight_to_their_readers():
-    found = routes(None)
-    written = {state for kernel in pipeline().values() for state in kernel.writes}
-    assert set(found) == written | {"sensor.depth", "sensor.odometry"} <= set(STATES)
-    for name, way in found.items():
-        assert way.first == way.final == "/mavfi/" + name.replace(".", "/")
-        assert way.nodes == (way.writer,)
-    assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
-    assert found["planning.path"].readers == ("planner",)
 
 
 @pytest.mark.parametrize("detector", [Checksum(), Duplicate()])
@@ -74,30 +61,6 @@ def test_an_injector_sits_at_one_state():
     way = found["planning.waypoint"]
     assert (way.first, way.nodes, way.sender) == (f"{way.final}/raw", ("waypoint", INJECTOR), INJECTOR)
     assert [name for name, other in found.items() if INJECTOR in other.nodes] == ["planning.waypoint"]
-
-
-@each_autopilot
-def test_only_triggers_make_steps_due(autopilot):
-    seen = set()
-
-    def watch_inputs(kernel):
-        receive = kernel.receive
-
-        def watched(state, time_us):
-            due = receive(state, time_us)
-            if due and kernel.name not in PERIODIC:
-                seen.add((kernel.name, state.spec.name))
-            return due
-
-        kernel.receive = watched
-
-    loop = new_loop(mission(autopilot))
-    for kernel in loop.kernels.values():
-        watch_inputs(kernel)
-    loop.fly()
-    interfaces = FlightGraph(pipeline()).interfaces.values()
-    assert seen and seen <= {(interface.name, state) for interface in interfaces for state in interface.triggers}
-    assert not any(interface.triggers for interface in interfaces if interface.name in PERIODIC)
 
 
 def test_without_a_private_network_there_is_no_flight(monkeypatch, tmp_path):

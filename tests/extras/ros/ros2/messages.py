@@ -1,7 +1,25 @@
 """Messages of twelve types, with a number in each whose bit is flipped, and their words for comparison."""
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+STRUCK = {
+    "std_msgs/msg/Float64MultiArray": ("layout.dim[0].stride", 30, 2),
+    "std_msgs/msg/String": ("data[2]", 1, 0),
+    "sensor_msgs/msg/JointState": ("name[1][30]", 2, 2),
+    "sensor_msgs/msg/LaserScan": ("ranges[17]", 30, 40),
+    "sensor_msgs/msg/PointCloud2": ("data[99999]", 7, 100_000),
+    "sensor_msgs/msg/Imu": ("angular_velocity_covariance[8]", 62, 0),
+    "nav_msgs/msg/Odometry": ("pose.pose.orientation.w", 63, 0),
+    "nav_msgs/msg/Path": ("poses[2].pose.position.x", 52, 0),
+    "nav_msgs/msg/OccupancyGrid": ("data[5]", 6, 8),
+    "geometry_msgs/msg/Twist": ("angular.z", 51, 0),
+    "trajectory_msgs/msg/JointTrajectory": ("points[1].positions[1]", 61, 2),
+    "test_msgs/msg/BasicTypes": ("int64_value", 63, 0),
+}
+"""By type of message: a number in it, the bit that is flipped, and the length of its lists of numbers."""
+MESSAGES_IN_A_LIST = 3
 
 
 class Messages:
@@ -11,12 +29,30 @@ class Messages:
         self.store = get_typestore(Stores.LATEST)
         self.store.register(get_types_from_msg(basic, "test_msgs/msg/BasicTypes"))
         self.kinds, self.fields, self.bits, self.data = {}, {}, {}, {}
-        self._make()
+        for kind, (field, bit, length) in STRUCK.items():
+            name = kind.rpartition("/")[2]
+            self.kinds[name], self.fields[name], self.bits[name] = kind, field, bit
+            members = self._members(kind, length)
+            if name == "BasicTypes":
+                members = BASIC
+            self.data[name] = self.packed(kind, **members)
 
-    def _add(self, kind, field, bit, **members):
-        name = kind.rpartition("/")[2]
-        self.kinds[name], self.fields[name], self.bits[name] = kind, field, bit
-        self.data[name] = self.packed(kind, **members)
+    def _members(self, kind, length):
+        """Values of all members of a message."""
+        return {name: self._value(node, length) for name, node in self.store.fielddefs[kind][1]}
+
+    def _value(self, node, length):
+        """A value of a member: numbers in a list count up, texts are long enough for any index above."""
+        nodetype, detail = node
+        if nodetype == Nodetype.NAME:
+            return self.store.types[detail](**self._members(detail, length))
+        if nodetype == Nodetype.BASE:
+            name, _ = detail
+            return {"string": "b" * 40, "bool": True}.get(name, 0.1 if name.startswith("float") else 1)
+        element, size = detail
+        if element[0] == Nodetype.BASE and element[1][0] != "string":
+            return np.arange(size or length).astype(element[1][0])
+        return [self._value(element, length) for _ in range(size or MESSAGES_IN_A_LIST)]
 
     def packed(self, kind, **members):
         """A serialized message."""
@@ -30,107 +66,6 @@ class Messages:
         """Number of bits in which the values of a message differ from those of the original."""
         pairs = zip(_words(self.read(name, self.data[name])), _words(self.read(name, data)), strict=True)
         return sum((int.from_bytes(a, "little") ^ int.from_bytes(b, "little")).bit_count() for a, b in pairs)
-
-    def _make(self):
-        t = self.store.types
-        stamp = t["builtin_interfaces/msg/Time"](sec=5, nanosec=7)
-        header = t["std_msgs/msg/Header"](stamp=stamp, frame_id="map")
-        point = t["geometry_msgs/msg/Point"](x=1.0, y=2.0, z=3.0)
-        vector = t["geometry_msgs/msg/Vector3"](x=0.1, y=0.2, z=9.8)
-        turn = t["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.6, w=0.8)
-        pose = t["geometry_msgs/msg/Pose"](position=point, orientation=turn)
-        stamped = t["geometry_msgs/msg/PoseStamped"](header=header, pose=pose)
-        twist = t["geometry_msgs/msg/Twist"](linear=vector, angular=vector)
-        nine, thirty_six = np.arange(9.0), np.arange(36.0)
-        dimension = t["std_msgs/msg/MultiArrayDimension"](label="a", size=3, stride=4)
-        layout = t["std_msgs/msg/MultiArrayLayout"](dim=[dimension], data_offset=1)
-        self._add(
-            "std_msgs/msg/Float64MultiArray", "layout.dim[0].stride", 30, layout=layout, data=np.array([1.0, 2.0])
-        )
-        self._add("std_msgs/msg/String", "data[2]", 1, data="hello")
-        self._add(
-            "sensor_msgs/msg/JointState",
-            "name[1][30]",
-            2,
-            header=header,
-            name=["a", "b" * 40],
-            position=np.array([1.0, 2.0]),
-            velocity=np.zeros(0),
-            effort=np.array([3.0]),
-        )
-        self._add(
-            "sensor_msgs/msg/LaserScan",
-            "ranges[17]",
-            30,
-            header=header,
-            angle_min=0.0,
-            angle_max=1.0,
-            angle_increment=0.5,
-            time_increment=0.0,
-            scan_time=0.25,
-            range_min=0.0,
-            range_max=9.0,
-            ranges=np.arange(40, dtype=np.float32),
-            intensities=np.zeros(0, np.float32),
-        )
-        column = t["sensor_msgs/msg/PointField"](name="x", offset=0, datatype=7, count=1)
-        self._add(
-            "sensor_msgs/msg/PointCloud2",
-            "data[99999]",
-            7,
-            header=header,
-            height=1,
-            width=1000,
-            fields=[column, column],
-            is_bigendian=False,
-            point_step=100,
-            row_step=100_000,
-            data=np.arange(100_000).astype(np.uint8),
-            is_dense=True,
-        )
-        self._add(
-            "sensor_msgs/msg/Imu",
-            "angular_velocity_covariance[8]",
-            62,
-            header=header,
-            orientation=turn,
-            orientation_covariance=nine,
-            angular_velocity=vector,
-            angular_velocity_covariance=nine,
-            linear_acceleration=vector,
-            linear_acceleration_covariance=nine,
-        )
-        self._add(
-            "nav_msgs/msg/Odometry",
-            "pose.pose.orientation.w",
-            63,
-            header=header,
-            child_frame_id="base",
-            pose=t["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=thirty_six),
-            twist=t["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=thirty_six),
-        )
-        self._add("nav_msgs/msg/Path", "poses[2].pose.position.x", 52, header=header, poses=[stamped] * 3)
-        info = t["nav_msgs/msg/MapMetaData"](map_load_time=stamp, resolution=0.5, width=4, height=2, origin=pose)
-        self._add(
-            "nav_msgs/msg/OccupancyGrid", "data[5]", 6, header=header, info=info, data=np.arange(8, dtype=np.int8)
-        )
-        self._add("geometry_msgs/msg/Twist", "angular.z", 51, linear=vector, angular=vector)
-        point = t["trajectory_msgs/msg/JointTrajectoryPoint"](
-            positions=np.array([1.0, 2.0]),
-            velocities=np.array([3.0]),
-            accelerations=np.zeros(0),
-            effort=np.zeros(0),
-            time_from_start=t["builtin_interfaces/msg/Duration"](sec=1, nanosec=2),
-        )
-        self._add(
-            "trajectory_msgs/msg/JointTrajectory",
-            "points[1].positions[1]",
-            61,
-            header=header,
-            joint_names=["a", "b"],
-            points=[point] * 2,
-        )
-        self._add("test_msgs/msg/BasicTypes", "int64_value", 63, **BASIC)
 
 
 BASIC = {

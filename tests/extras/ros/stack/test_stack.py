@@ -142,6 +142,7 @@ time.sleep(0.2)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_stack_of_several_nodes_gets_its_inputs_from_a_script(bench, jazzy):
     (jazzy / "double.py").write_text(DOUBLE)
     (jazzy / "publish.py").write_text(PUBLISH)
@@ -168,6 +169,7 @@ def test_a_stack_of_several_nodes_gets_its_inputs_from_a_script(bench, jazzy):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_registers_are_injected_while_the_stack_computes(bench, jazzy):
     trial = bench(golden_runs=1).trial(RegisterFault("general", symbol="rcl_publish", timeout=10.0, seed=3))
     assert trial.injections, trial.reason

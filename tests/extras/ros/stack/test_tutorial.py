@@ -27,6 +27,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.mark.ros
 @pytest.mark.slow
-@pytest.mark.parametrize("fewer", [FEWER, pytest.param((), marks=pytest.mark.long)], ids=["small", "whole"])
+@pytest.mark.long
+@pytest.mark.parametrize("fewer", [FEWER, ()], ids=["small", "whole"])
 def test_the_tutorial_can_be_followed(folder, capsys, fewer):
     follow(PAGE, folder, capsys, fewer)

@@ -1,6 +1,7 @@
 """The folder of a flight: files, environment, and the script `join` with which another terminal joins the ROS graph."""
 
 import fcntl
+import io
 import json
 import os
 import shutil
@@ -8,10 +9,13 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from mavfi.errors import MachineError, MavfiError
 from mavfi.extras.ros.lockstep.transport import Middleware
-from mavfi.record import Injection
+from mavfi.record import Injection, Profile
 
 FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
 """Environment variable: folder of the flight to which a node belongs."""
@@ -76,6 +80,25 @@ def write_file(name: str, content: bytes) -> None:
     part = flight_folder() / f"part-{name}"
     part.write_bytes(content)
     part.rename(flight_folder() / name)
+
+
+def write_profile(profile: Profile) -> None:
+    """Write the profile of the flight."""
+    buffer = io.BytesIO()
+    arrays: dict[str, Any] = {f"t:{name}": times for name, times in profile.times_us.items()}
+    arrays |= {f"n:{name}": counts for name, counts in profile.counts.items()}
+    np.savez_compressed(buffer, **arrays)
+    write_file(PROFILE, buffer.getvalue())
+
+
+def read_profile(folder: Path) -> Profile:
+    """The profile of the flight of a folder."""
+    with np.load(folder / PROFILE) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    return Profile(
+        {name[2:]: array for name, array in arrays.items() if name.startswith("t:")},
+        {name[2:]: array for name, array in arrays.items() if name.startswith("n:")},
+    )
 
 
 def write_injections(injections: list[Injection]) -> None:

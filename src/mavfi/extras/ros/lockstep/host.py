@@ -24,7 +24,7 @@ from mavfi.levels.sensor.fault import SensorFault
 from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.record import FlightLog, Profile
+from mavfi.record import FlightLog
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import build_world
 
@@ -209,10 +209,9 @@ def _result(folder: Path, plan: FlightPlan) -> Flight:
         raise MavfiError("ROS: the flight ended without a record")
     scenario = plan.scenario
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
+    profile = None
     if plan.profile:
-        profile = Profile.from_bytes((folder / files.PROFILE).read_bytes())
-    else:
-        profile = None
+        profile = files.read_profile(folder)
     return Flight(FlightLog.load(folder / files.FLIGHT), profile, world)
 
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from mavfi.extras.ros.lockstep.encoding import NodeAction
-from mavfi.extras.ros.lockstep.folder import FLIGHT, PROFILE, TIMES, flight_folder, read_injections, write_file
+from mavfi.extras.ros.lockstep.folder import FLIGHT, TIMES, flight_folder, read_injections, write_profile
 from mavfi.extras.ros.lockstep.plan import DETECTOR, INJECTOR, WORLD
 from mavfi.extras.ros.lockstep.ports import Client, Inbox, Loss, NodeLostError, Ports
 from mavfi.extras.ros.lockstep.register_injector import PLANNED, RegisterInjector
@@ -37,7 +37,7 @@ def fly(ports: Ports) -> None:
     times = {"world_started": started, "nodes_ready": ready, "flight_done": time.time()}
     (flight_folder() / TIMES).write_text(json.dumps(times))
     if flight.profile is not None:
-        write_file(PROFILE, flight.profile.to_bytes())
+        write_profile(flight.profile)
     part = flight_folder() / f"part-{FLIGHT}"
     flight.log.save(part)
     part.rename(flight_folder() / FLIGHT)

@@ -9,7 +9,6 @@ import pytest
 
 from mavfi.campaign.executors.executor import Done, Lost, map_each
 from mavfi.campaign.executors.local import MOST_WORKERS, LocalExecutor
-from mavfi.campaign.executors.process import Raised, Worker
 from mavfi.errors import BadInputError, MavfiError
 
 
@@ -104,7 +103,7 @@ def test_items_are_handed_over_while_the_mission_continues():
 def test_a_mission_stays_with_its_worker_and_workers_are_used_again():
     results = flat(LocalExecutor(2).map(process, range(8)))
     workers = [{pid for pid in items_of(results, number) if not isinstance(pid, Done)} for number in range(8)]
-    assert all(len(own) == 1 for own in workers)
+    assert all(len(pids) == 1 for pids in workers)
     assert len(set.union(*workers)) == 2
     assert os.getpid() not in set.union(*workers)
 
@@ -174,13 +173,13 @@ def test_a_worker_that_dies_loses_its_mission_only(how, reason):
     missions = [(number, how if number == 2 else None) for number in range(1, 7)]
     results = flat(LocalExecutor(2).map(die, missions))
     for mission in missions:
-        found = items_of(results, mission)
+        items = items_of(results, mission)
         if mission[1] is None:
-            assert found == [mission[0], -mission[0], Done()]
+            assert items == [mission[0], -mission[0], Done()]
         else:
-            assert found[0] == mission[0], "what it gave before is kept"
+            assert items[0] == mission[0], "what it gave before is kept"
             by = reason if isinstance(how, signal.Signals) else ""
-            assert found[1:] == [Lost(f"its worker died ({reason})", died=True, signal=by)]
+            assert items[1:] == [Lost(f"its worker died ({reason})", died=True, signal=by)]
 
 
 def test_a_worker_that_dies_while_it_is_idle_loses_what_it_is_given_next():
@@ -246,35 +245,3 @@ def test_a_mission_without_memory_is_reported_as_such(capfd):
     with pytest.raises(MemoryError):
         next(results)
     assert capfd.readouterr().err == ""
-
-
-def items(worker):
-    found = worker.take()
-    while not isinstance(found[-1], (Done, Raised)):
-        found += worker.take()
-    return found
-
-
-@pytest.mark.slow
-def test_it_takes_one_mission_after_the_other(monkeypatch, request):
-    monkeypatch.setenv("PYTHONPATH", str(request.config.rootpath), prepend=":")
-    worker = Worker.started(count_to)
-    try:
-        for number in (3, 0, 2):
-            worker.give(number)
-            assert items(worker) == [*range(number), Done()]
-    finally:
-        worker.end()
-
-
-@pytest.mark.slow
-def test_what_it_cannot_import_is_an_error(monkeypatch):
-    monkeypatch.delenv("PYTHONPATH", raising=False)
-    monkeypatch.chdir("/")
-    worker = Worker.started(count_to)
-    try:
-        worker.give(1)
-        [raised] = items(worker)
-        assert "workers cannot import what they should call: No module named 'tests'" in str(raised.error)
-    finally:
-        worker.end()

@@ -102,6 +102,7 @@ def test_a_call_in_the_arena_without_a_change_is_the_plain_call():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_an_address_is_planned_and_wild_ones_crash():
     faults = drawn("opcode:getelementptr")
     calls = [instruction.run_forked(shifted, fault, *arguments()) for fault in faults]
@@ -115,6 +116,7 @@ def test_an_address_is_planned_and_wild_ones_crash():
     assert {call.how for call in calls} >= {"crash", "sdc", "masked"}
 
 
+@pytest.mark.long
 def test_a_kernel_whose_memory_belongs_to_a_library_is_not_replayable():
     matrix, right = np.eye(3) * 2.0, np.ones(3)
     fault = instruction.draw(solved, 1, matrix, right, which="address", seed=1)[0]

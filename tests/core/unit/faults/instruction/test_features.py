@@ -10,6 +10,7 @@ from mavfi.levels.instruction import NotInstrumentableError, count, draw, run_fo
 from mavfi.levels.instruction.api import digest
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import solved
+from tests.night import at_night
 
 
 @kernel_jit
@@ -67,7 +68,11 @@ FEATURES = {
 }
 
 
-@pytest.mark.parametrize("kernel", FEATURES, ids=lambda kernel: kernel.py_func.__name__)
+@pytest.mark.parametrize(
+    "kernel",
+    [fibonacci, *at_night(new_array, complex_product, solved, dictionary, vectorised, classic)],
+    ids=lambda kernel: kernel.py_func.__name__,
+)
 def test_results_are_the_same_bits(kernel):
     args = FEATURES[kernel]
     wanted = digest((kernel(*args), args))

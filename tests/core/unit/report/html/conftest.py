@@ -54,13 +54,13 @@ class Browser:
     def __init__(self, driver):
         self.driver = driver
 
-    def open(self, path, *, width=1440, height=900, place=""):
+    def open(self, path, *, width=1440, height=900, fragment=""):
         self.driver.get("about:blank")
         self.driver.execute_cdp_cmd(
             "Emulation.setDeviceMetricsOverride",
             {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False},
         )
-        self.driver.get(f"file://{path}{place}")
+        self.driver.get(f"file://{path}{fragment}")
 
     def run(self, script, *values):
         return self.driver.execute_script(script, *values)
@@ -77,10 +77,10 @@ class Browser:
     def until(self, script, seconds=10.0):
         """Wait until a script gives something true, and give it."""
         end = time.monotonic() + seconds
-        while not (found := self.run(script)):
+        while not (value := self.run(script)):
             assert time.monotonic() < end, script
             time.sleep(0.05)
-        return found
+        return value
 
     def complaints(self):
         return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
@@ -100,9 +100,9 @@ def driver(tmp_path_factory):
     for option in (*_OPTIONS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
         options.add_argument(option)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    found = webdriver.Chrome(options=options, service=webdriver.ChromeService(service))
-    yield found
-    found.quit()
+    chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(service))
+    yield chrome
+    chrome.quit()
 
 
 @pytest.fixture

@@ -33,6 +33,7 @@ def test_the_page_of_a_flight_shows_it_and_can_be_played(browser, flight_html, f
     assert browser.complaints() == []
 
 
+@pytest.mark.long
 def test_keys_and_the_slider_move_through_the_flight(browser, flight_html, flight):
     browser.open(flight_html)
     press = """document.querySelector('.stage canvas').dispatchEvent(
@@ -48,6 +49,7 @@ def test_keys_and_the_slider_move_through_the_flight(browser, flight_html, fligh
     assert browser.run("return document.querySelector('.playhead').hidden") is True  # 5 s is not around the fault
 
 
+@pytest.mark.long
 def test_the_camera_and_the_colours_change(browser, flight_html):
     browser.open(flight_html)
     before = browser.run("return player.scene.camera.position.toArray()")
@@ -77,6 +79,7 @@ def test_without_webgl_the_flight_is_shown_from_above(browser, flight_html, tmp_
 
 
 @pytest.mark.parametrize("page", ["flight_html", "report_html"])
+@pytest.mark.long
 def test_pages_never_scroll_sideways_and_load_nothing(browser, request, page):
     browser.open(request.getfixturevalue(page), width=400)
     assert browser.run("return document.documentElement.scrollWidth") <= 400
@@ -118,8 +121,9 @@ def test_filters_narrow_the_list(browser, report_html, runs):
     browser.until(f"return document.getElementById('runs-summary').textContent.startsWith('{len(runs)} of')")
 
 
+@pytest.mark.long
 def test_the_page_of_a_run_has_its_flight_and_the_way_back(browser, report_html, runs):
-    browser.open(report_html, place="#runs?flight=yes")
+    browser.open(report_html, fragment="#runs?flight=yes")
     assert browser.count(".runs tbody tr") == 2
     browser.click(".runs tbody a")
     browser.until("return document.querySelector('#run .flight canvas')")
@@ -130,7 +134,7 @@ def test_the_page_of_a_run_has_its_flight_and_the_way_back(browser, report_html,
     browser.click(".back")
     browser.until("return !document.getElementById('report').hidden")
     golden = runs.golden["run_id"][0]
-    browser.open(report_html, place=f"#run/{golden}")
+    browser.open(report_html, fragment=f"#run/{golden}")
     assert browser.count("#run .flight") == 0
     assert f"mavfi replay {'/'}" in browser.text("#run .place")
     assert browser.complaints() == []

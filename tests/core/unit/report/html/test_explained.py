@@ -8,8 +8,9 @@ from mavfi.cli import run
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_page_of_a_run_has_the_same_fault_in_another_arm(capsys, flown, runs, tmp_path):
-    run_id = next(found for found in ordered(runs.frame) if "-fi-" in found)
+    run_id = next(candidate for candidate in ordered(runs.frame) if "-fi-" in candidate)
     path = tmp_path / "run.html"
     assert run(["explain", str(flown), run_id, "--html", str(path)]) == 0
     capsys.readouterr()

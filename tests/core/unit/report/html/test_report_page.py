@@ -57,15 +57,15 @@ def test_text_from_data_is_never_markup(tmp_path, report, flown):
 def test_flights_are_taken_while_they_fit(tmp_path, report, flown, flight):
     def endless():
         for number in range(1000):
-            asked.append(number)
+            taken.append(number)
             yield f"run-{number}", flight
 
-    asked = []
+    taken = []
     none, text = written(tmp_path, report, flown)
     size, room = len(text.encode()), 5 * len(page.as_json(flight.to_json()))
     count, text = written(tmp_path, report, flown, flights=endless(), largest=size + room)
     assert 3 <= count <= 5 and none == 0 and len(text.encode()) <= size + room
-    assert len(asked) == count + 1
+    assert len(taken) == count + 1
     with pytest.raises(BadInputError, match="without any flight; allowed: 1000"):
         written(tmp_path, report, flown, largest=1000)
 
@@ -85,9 +85,11 @@ def test_what_is_done_is_in_the_page_when_the_time_is_up_or_at_ctrl_c(
     if not at_once:
         monkeypatch.setattr(report_page, "DEFAULT_SECONDS", 0.0)
     campaigns = [ReportedCampaign(flown, report)]
-    found = write_page(path, campaigns, sections_of(report)[:1], COMMANDS, None, 1, show)
-    assert (found.stored, found.is_stopped) == ((3, True) if at_once else (1, False)) and found.chosen > 3
-    assert path.read_text(encoding="utf-8").count('class="flight-data"') == found.stored
+    written_page = write_page(path, campaigns, sections_of(report)[:1], COMMANDS, None, 1, show)
+    assert (written_page.stored, written_page.is_stopped) == (
+        (3, True) if at_once else (1, False)
+    ) and written_page.chosen > 3
+    assert path.read_text(encoding="utf-8").count('class="flight-data"') == written_page.stored
 
 
 def test_the_libraries_are_there_with_their_licences(flight_html):
@@ -99,7 +101,9 @@ def test_the_libraries_are_there_with_their_licences(flight_html):
 
 def test_figures_follow_the_theme_and_their_ids_are_unique(runs):
     figures = drawn(runs)
-    text = "".join(svg_of(one.figure, f"f{place}", one.caption, RunSets({})) for place, one in enumerate(figures))
+    text = "".join(
+        svg_of(figure.figure, f"f{number}", figure.caption, RunSets({})) for number, figure in enumerate(figures)
+    )
     assert "var(--ink)" in text and "#222222" not in text
     ids = re.findall(r'\bid="([^"]*)"', text)
     assert ids and len(ids) == len(set(ids))

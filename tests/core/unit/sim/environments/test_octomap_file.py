@@ -28,9 +28,9 @@ def write(path, voxels, body, kind="OcTree", resolution=RESOLUTION):
 @pytest.fixture
 def voxels():
     """A free room of 6 x 4 x 4 voxels with a pruned cube in it, one occupied voxel, and an occupied wall."""
-    found = {(CENTRE + i, CENTRE + j, CENTRE + k): False for i in range(6) for j in range(4) for k in range(4)}
-    found |= {(CENTRE + 6, CENTRE + j, CENTRE + k): True for j in range(4) for k in range(4)}
-    return found | {(CENTRE + 4, CENTRE + 2, CENTRE + 1): True}
+    occupied = {(CENTRE + i, CENTRE + j, CENTRE + k): False for i in range(6) for j in range(4) for k in range(4)}
+    occupied |= {(CENTRE + 6, CENTRE + j, CENTRE + k): True for j in range(4) for k in range(4)}
+    return occupied | {(CENTRE + 4, CENTRE + 2, CENTRE + 1): True}
 
 
 @pytest.mark.slow

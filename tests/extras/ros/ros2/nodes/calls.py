@@ -23,13 +23,13 @@ TOPICS = 6
 rclpy.init()
 node = rclpy.create_node("calls")
 group = ReentrantCallbackGroup()
-asked, responses, orders, feedback, results = [], [], [], [], []
+requests, responses, orders, feedback, results = [], [], [], [], []
 received = [[] for _ in range(TOPICS)]
 
 
 def serve(request, response):
     """Answer with the number of the request."""
-    asked.append(request.int32_value)
+    requests.append(request.int32_value)
     response.int32_value = request.int32_value
     return response
 
@@ -104,7 +104,7 @@ while any(len(numbers) < COUNT for numbers in received) and time.monotonic() < e
 sys.stdout.write(
     json.dumps(
         {
-            "asked": asked,
+            "asked": requests,
             "responses": responses,
             "orders": orders,
             "feedback": feedback,

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavfi.extras.bench.crc import crc32c
+from mavfi.numerics.crc import crc32c
 
 
 def sum_of(content, before=0):

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from mavfi.campaign.compiling import STAGES
 from mavfi.flight import compiling
-from mavfi.flight.compiling import STAGES
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
@@ -29,7 +29,7 @@ def called(scenario, act, monkeypatch):
 
     names = tuple(field.name for field in fields(PLAIN))
     recording = partial(new_loop, functions=PLAIN.instrumented(names, recorded))
-    monkeypatch.setattr("mavfi.flight.compiling.new_loop", recording)
+    monkeypatch.setattr("mavfi.campaign.compiling.new_loop", recording)
     with np.errstate(all="ignore"):
         act(scenario)
     return seen
