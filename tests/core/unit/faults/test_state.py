@@ -131,14 +131,14 @@ def lasting_values(fault, values) -> list[int]:
 def expected_values(fault, values) -> list[int]:
     """The same, from the definition, without a share."""
     words = [int(np.array([value]).view(np.uint64)[0]) for value in values]
-    first = next((place for place in range(len(words)) if place * PERIOD_US >= fault.time_us), len(words))
+    first = next((index for index in range(len(words)) if index * PERIOD_US >= fault.time_us), len(words))
     mask = sum(1 << bit for bit in range(fault.bit, fault.bit + fault.width))
-    for place in range(first, len(words)):
-        if place == first:
-            stuck = ~words[place] & mask
-        in_time = (place - first) * PERIOD_US <= 1e6 * fault.lasts_s
-        if place - first < fault.times or in_time:
-            words[place] = words[place] & ~mask | stuck
+    for index in range(first, len(words)):
+        if index == first:
+            stuck = ~words[index] & mask
+        in_time = (index - first) * PERIOD_US <= 1e6 * fault.lasts_s
+        if index - first < fault.times or in_time:
+            words[index] = words[index] & ~mask | stuck
     return words
 
 
