@@ -86,8 +86,8 @@ PRESENT = [page for page in PAGES if page.name != "CHANGELOG.md"]
 @pytest.mark.parametrize("page", PRESENT, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_make_targets_that_are_named_exist(page):
     targets = set(re.findall(r"^([a-z-]+):", text(ROOT / "Makefile"), flags=re.MULTILINE))
-    named = set(re.findall(r"`make ([a-z-]+)", text(page))) | set(
-        re.findall(r"^ *make ([a-z-]+)", text(page), re.MULTILINE)
+    named = set(re.findall(r"`make ([a-z-]+)[ `]", text(page))) | set(
+        re.findall(r"^ *make ([a-z-]+)(?= |$)", text(page), re.MULTILINE)
     )
     assert named - targets == set()
 
