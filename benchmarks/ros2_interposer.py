@@ -18,7 +18,7 @@ from pathlib import Path
 from mavfi.extras.ros.ros2.environment import Installation, find_installation
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault
-from mavfi.faults.changes import When
+from mavfi.faults.changes import Change, When
 from mavfi.faults.operations import Operation
 from tools.markers import between
 
@@ -62,7 +62,8 @@ executor.spin()
 """A node that publishes 1,000 messages a second from four threads while another one allocates; or one that watches."""
 VICTIM = """
 import sys, time
-from benchmarks.ros2_interposer import FLIP, ALWAYS, KIND
+from benchmarks.ros2_interposer import ALWAYS, FLIP, KIND
+from mavfi.faults.changes import Change
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault
 print("ready", flush=True)
@@ -70,7 +71,7 @@ page = ControlPage()
 while True:
     with Attachments(page) as attachments:
         attachments.attach(int(sys.argv[1]))
-        page.arm([InterposedFault(sys.argv[2], "data[1]", FLIP, ALWAYS, type=KIND)])
+        page.arm([InterposedFault(sys.argv[2], "data[1]", Change(FLIP, ALWAYS), type=KIND)])
         time.sleep(0.02)
 """
 """A mavfi that attaches, injects and detaches until it is killed."""
@@ -134,7 +135,7 @@ def measure_publish(installation: Installation, peer: Path) -> None:
                 return times[0], times[1]
 
             paired(f"publish of {size:,} bytes, idle (ns)", lambda index: both(index, preloaded=True))
-            page.arm([InterposedFault("/ping", "data[1]", FLIP, ALWAYS)])
+            page.arm([InterposedFault("/ping", "data[1]", Change(FLIP, ALWAYS))])
             paired(f"publish of {size:,} bytes, each changed (ns)", lambda index: both(index, preloaded=False))
             page.disarm()
             page.reports()
@@ -168,7 +169,7 @@ def measure_latency(installation: Installation, peer: Path) -> None:
 
     with ControlPage() as page:
         for name, when in (("armed, not due", NEVER), ("each message changed", ALWAYS)):
-            page.arm([InterposedFault(topic, "data[1]", FLIP, when) for topic in ("/ping", "/pong")])
+            page.arm([InterposedFault(topic, "data[1]", Change(FLIP, when)) for topic in ("/ping", "/pong")])
 
             def both(index: int) -> tuple[float, float]:
                 domain = 10 + index
@@ -221,7 +222,7 @@ def measure_attach() -> None:
                     began = time.perf_counter()
                     attachments.attach(process.pid)
                     times.append(1e3 * (time.perf_counter() - began))
-                    page.arm([InterposedFault(f"/pump_{number}", "data[1]", FLIP, When(), type=KIND)])
+                    page.arm([InterposedFault(f"/pump_{number}", "data[1]", Change(FLIP, When()), type=KIND)])
                     end = time.monotonic() + 5.0
                     while not page.messages_changed(0) and time.monotonic() < end:
                         time.sleep(0.001)

@@ -1,7 +1,8 @@
 """A flight in progress that reuses parts of known flights of its mission: simulated only where it differs."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,11 +11,43 @@ from mavfi.faults.injector import RewindableInjector
 from mavfi.flight.checkpoints import Checkpoint, Instant, is_at, put, take
 from mavfi.flight.compose import install
 from mavfi.flight.known_flights import FlownArm, KnownFlight
+from mavfi.flight.loop import Loop
 from mavfi.record import Event, FlightLog
 from mavfi.states import State
 
-if TYPE_CHECKING:
-    from mavfi.flight.fast_forward import FastForward
+
+@dataclass(slots=True)
+class SimulatedShare:
+    """Share of the flights that was simulated.
+
+    Attributes:
+        ticks: Control periods of all flights.
+        flown: Those of them that were simulated.
+        shown: Those in which a detector only checked the publications of a known flight.
+        converged: Number of flights that converged to another one before their end.
+    """
+
+    ticks: int = 0
+    flown: int = 0
+    shown: int = 0
+    converged: int = 0
+
+
+class BranchedLoop:
+    """The loop that flies all flights of a mission.
+
+    Attributes:
+        loop: The loop.
+        pitch: Control periods between two checkpoints.
+        scratch: Whether golden checkpoints contain the work arrays of kernels, so that faults in instructions can be
+            injected after them: if that is requested, and all of these can be saved.
+        share: Counts the simulated part of the flights.
+    """
+
+    loop: Loop
+    pitch: int
+    scratch: bool
+    share: SimulatedShare
 
 
 class FlightBranch:
@@ -23,7 +56,7 @@ class FlightBranch:
     The loop itself does not move: `put` it to the checkpoint, or `follow` a known flight.
 
     Args:
-        forward: All flights of the mission.
+        forward: What flies it.
         arm: Detector and recovery policy of this flight.
         start: The checkpoint.
         before: The known flight; None = the checkpoint is before take-off.
@@ -41,7 +74,7 @@ class FlightBranch:
 
     def __init__(
         self,
-        forward: "FastForward",
+        forward: BranchedLoop,
         arm: FlownArm,
         start: Checkpoint,
         before: KnownFlight | None,

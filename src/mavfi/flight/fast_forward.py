@@ -17,7 +17,6 @@ Instruction faults use the same golden flights and the same convergence, see `fl
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from mavfi.errors import MavfiError
 from mavfi.faults.acted_on import CounterWatch
 from mavfi.faults.fault import Fault, find_level
 from mavfi.faults.injector import Injector
-from mavfi.flight.branches import FlightBranch
+from mavfi.flight.branches import BranchedLoop, FlightBranch, SimulatedShare
 from mavfi.flight.checkpoints import Checkpoint, can_save_kernels, has_scratch, put, take
 from mavfi.flight.compose import new_loop
 from mavfi.flight.counted_functions import CountedFunction
@@ -44,35 +43,16 @@ TICKS = {"dense": 50, "octree": 200}
 """Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
 
 
-@dataclass(slots=True)
-class SimulatedShare:
-    """Share of the flights that was simulated.
+class FastForward(BranchedLoop):
+    """All flights of one mission.
+
+    The record of its loop counts the calls of `functions`, and checkpoints contain the counts.
 
     Attributes:
-        ticks: Control periods of all flights.
-        flown: Those of them that were simulated.
-        shown: Those in which a detector only checked the publications of a known flight.
-        converged: Number of flights that converged to another one before their end.
-    """
-
-    ticks: int = 0
-    flown: int = 0
-    shown: int = 0
-    converged: int = 0
-
-
-class FastForward:
-    """All flights of one mission; `share` counts the simulated part.
-
-    Attributes:
-        loop: The loop of all flights; its record counts the calls of `functions`, and checkpoints contain the counts.
         functions: The functions of its kernels, at whose calls flights can fork, by name.
         supported: Whether checkpoints can contain the mission's kernels.
-        scratch: Whether checkpoints contain the work arrays of kernels, so that faults in instructions can be injected
-            after them: if that is requested, and all of these can be saved.
         watched: Whether injected runs are flown with detectors as well: these continue from checkpoints of injected
             runs without one, which otherwise have none.
-        pitch: Control periods between two checkpoints.
 
     Raises:
         BadInputError: The scenario cannot be flown.
@@ -197,7 +177,7 @@ class FastForward:
         rows = own_golden.before(fault.time_us)
         start = own_golden.checkpoints[rows]
         branch = FlightBranch(self, arm, start, own_golden, others, own_golden, keeps_checkpoints=keeps_checkpoints)
-        self.loop.taps.injector = start.injector  # the injector continues from its counters
+        # The injector continues from the counters of the golden flight's tap, which the branch has installed.
         injector: Injector = find_level(fault.level).inject(self.loop, fault, None)
         if injector.spent:  # the fault has no site
             branch.append_rest(own_golden, rows)

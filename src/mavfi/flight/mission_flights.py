@@ -7,7 +7,6 @@ so do faults in instructions of kernels if the work arrays of these can be saved
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -67,14 +66,6 @@ class LocalHost(Host):
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
         """See `Host.mission`."""
         return LocalFlights(self, arms, fast_forward=fast_forward)
-
-
-@dataclass(frozen=True, slots=True)
-class _InstructionRun:
-    """A run with a fault in an instruction; `number` is its index among the requested runs."""
-
-    number: int
-    fault: CallFault
 
 
 class LocalFlights(ArmFlights):
@@ -162,6 +153,16 @@ class LocalFlights(ArmFlights):
         )
 
     # ---- counting and resolving of instructions ---------------------------------------------------------------------
+    @contextmanager
+    def _forwarding_calls(self, arm: str, functions: Mapping[str, Any]) -> Iterator[FastForward | None]:
+        """As `_forwarding`; its checkpoints count calls of the functions of mavfi's own kernels, unprotected."""
+        is_plain = self._detector(arm) is None and self._arms[arm].scenario.protection is None
+        if is_plain and functions.keys() <= set(ENTRIES):
+            with self._forwarding(arm) as forward:
+                yield forward
+        else:
+            yield None
+
     def count_instructions(
         self, arm: str, functions: Mapping[str, Callable[..., Any]], listeners: Sequence[Listener] = ()
     ) -> Flight:
@@ -173,11 +174,8 @@ class LocalFlights(ArmFlights):
         setup = self._arms[arm]
         detector = self._detector(arm)
         self._expects_instruction_faults = True
-        takes_checkpoints = (
-            detector is None and setup.scenario.protection is None and setup.scenario.key() not in self._forwards
-        )
-        if takes_checkpoints and _are_of_mavfi(functions):
-            with self._forwarding(arm) as forward:
+        if setup.scenario.key() not in self._forwards:
+            with self._forwarding_calls(arm, functions) as forward:
                 if forward is not None:
                     with forward.instrumented(functions, listeners):
                         self._golden[arm] = Flight(forward.fly().log)
@@ -196,11 +194,10 @@ class LocalFlights(ArmFlights):
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
-        if detector is None and setup.scenario.protection is None and _are_of_mavfi(functions):
-            with self._forwarding(arm) as forward:
-                if forward is not None:
-                    forward.resolve(functions)
-                    return
+        with self._forwarding_calls(arm, functions) as forward:
+            if forward is not None:
+                forward.resolve(functions)
+                return
         with Targets(setup.scenario, detector).instrumented(functions) as table, np.errstate(all="ignore"):
             loop = new_loop(setup.scenario, functions=table)
             watch(loop, detector, setup.recovery)
@@ -211,51 +208,51 @@ class LocalFlights(ArmFlights):
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """See `MissionFlights.injected`: faults in instructions come last, by arm, those of kernels before others."""
         self._has_watched_runs = any(self._arms[arm].make_detector is not None for arm, _ in runs)
-        in_kernels: dict[str, list[_InstructionRun]] = {}
-        in_detectors: dict[str, list[_InstructionRun]] = {}
+        batches: dict[tuple[bool, str], dict[int, CallFault]] = {}  # by whether they are in a detector, and arm
         others = []
         for number, (arm, fault) in enumerate(runs):
-            if _start_of(fault) is not FliesFrom.CALL:
+            if _start_of(fault) is FliesFrom.CALL:
+                batch = batches.setdefault((fault.in_detector, arm), {})
+                batch[number] = cast(CallFault, fault)
+            else:
                 others.append(number)
-                continue
-            in_code = in_kernels
-            if fault.in_detector:
-                in_code = in_detectors
-            in_code.setdefault(arm, []).append(_InstructionRun(number, cast(CallFault, fault)))
         for index, flight in one_by_one([runs[number] for number in others], self._fly_injected):
             yield others[index], flight
 
         # Arms without a detector are flown first: runs of arms with one may follow from theirs.
-        known: dict[tuple[str, CallFault], Flight] = {}
-        arms = in_kernels.keys() | in_detectors.keys()
-        for arm, batch in (*in_kernels.items(), *in_detectors.items()):
-            yield from ((run.number, known[arm, run.fault]) for run in batch if (arm, run.fault) in known)
-            unknown = [run for run in batch if (arm, run.fault) not in known]
-            yield from self._fly_batch(arm, unknown, arms, known)
+        arms = {arm for _, arm in batches}
+        flown: dict[tuple[str, Fault], Flight] = {}  # that followed from a run of another arm
+        for in_detector, arm in sorted(batches, key=lambda batch: batch[0]):
+            remaining = {}
+            for number, call_fault in batches[in_detector, arm].items():
+                if (arm, call_fault) in flown:
+                    yield number, flown[arm, call_fault]
+                else:
+                    remaining[number] = call_fault
+            if remaining:
+                yield from self._fly_batch(arm, remaining, arms, flown)
 
     def _fly_batch(
         self,
         arm: str,
-        batch: Sequence[_InstructionRun],
+        batch: Mapping[int, CallFault],
         arms: Collection[str],
-        known: dict[tuple[str, CallFault], Flight],
+        flown: dict[tuple[str, Fault], Flight],
     ) -> Iterator[tuple[int, Flight | Exception]]:
-        """Flights of a batch with faults in instructions; those of other arms that follow from them become `known`."""
-        if not batch:
-            return
-        faults = [run.fault for run in batch]
+        """Flights with faults in instructions, by number; those of other arms that follow from them become `flown`."""
+        faults = list(batch.values())
         try:
             injected = self._fly_instruction_faults(arm, faults, arms)
         except Exception as error:  # noqa: BLE001 - ends only the run that raised it
-            if len(batch) == 1:
-                yield batch[0].number, error
-                return
-            for run in batch:
-                yield from self._fly_batch(arm, [run], arms, known)
+            for number, fault in batch.items():
+                if len(batch) == 1:
+                    yield number, error
+                else:
+                    yield from self._fly_batch(arm, {number: fault}, arms, flown)
             return
         for other_arm, flights in injected.watched.items():
-            known.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
-        yield from ((run.number, flight) for run, flight in zip(batch, injected.flights, strict=True))
+            flown.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
+        yield from zip(batch, injected.flights, strict=True)
 
     def _fly_instruction_faults(self, arm: str, faults: Sequence[CallFault], arms: Collection[str]) -> InjectedRuns:
         """Fly an arm with each of several faults in instructions, and `arms` as far as they follow from it."""
@@ -302,11 +299,6 @@ def _start_of(fault: Fault | None) -> FliesFrom:
         return FliesFrom.CHECKPOINT
     flies_from: FliesFrom = find_level(fault.level).flies_from(fault)
     return flies_from
-
-
-def _are_of_mavfi(functions: Mapping[str, Any]) -> bool:
-    """Whether all of some functions are of the kernels of mavfi, whose calls checkpoints count."""
-    return functions.keys() <= set(ENTRIES)
 
 
 def fly_recorded(

@@ -44,43 +44,6 @@ class InjectorTap(Protocol):
         """All injections of the flight."""
 
 
-class InjectorChain:
-    """Two injectors as one: the second receives what the first leaves.
-
-    Args:
-        first: Applied first.
-        second: Applied to its result.
-    """
-
-    def __init__(self, first: InjectorTap, second: InjectorTap) -> None:
-        self._first = first
-        self._second = second
-
-    @property
-    def spent(self) -> bool:
-        """See `InjectorTap.spent`."""
-        return self._first.spent and self._second.spent
-
-    @property
-    def injections(self) -> list[Injection]:
-        """Those so far."""
-        injections: list[Injection] = []
-        for injector in (self._first, self._second):
-            injections += getattr(injector, "injections", ())
-        return injections
-
-    def __call__(self, state: State, time_us: int) -> State | None:
-        """See `InjectorTap`."""
-        seen = self._first(state, time_us)
-        if seen is None:
-            return None
-        return self._second(seen, time_us)
-
-    def finish(self) -> list[Injection]:
-        """See `InjectorTap`."""
-        return self._first.finish() + self._second.finish()
-
-
 @dataclass(slots=True)
 class Taps:
     """The taps of one flight.

@@ -16,18 +16,18 @@ def keywords(tree):
 
 
 def test_fast_math_and_parallel_sums_are_off_everywhere():
-    found = [
+    violations = [
         f"{name}:{keyword.value.lineno} {keyword.arg}"
         for name, tree in modules().items()
         for keyword in keywords(tree)
         if keyword.arg in ("fastmath", "parallel")
         and not (isinstance(keyword.value, ast.Constant) and keyword.value.value is False)
     ]
-    assert found == []
+    assert violations == []
 
 
 def test_numba_compiles_through_kernel_jit_only():
-    found = {
+    violations = {
         name: compilers
         for name, tree in modules().items()
         if name != "numerics/jit.py"
@@ -36,28 +36,28 @@ def test_numba_compiles_through_kernel_jit_only():
             | {d for node in ast.walk(tree) if (d := dotted(node)) in {f"numba.{c}" for c in COMPILERS}}
         )
     }
-    assert found == {}
+    assert violations == {}
 
 
 def test_kernels_import_only_numpy_numba_math_and_numerics():
     allowed = ("numpy", "numba", "math", "typing", "collections", "mavfi.numerics", "mavfi.kernels")
-    found = {
+    violations = {
         f"{name}: {imported}"
         for name, tree in kernels().items()
         for imported in imports(tree)
         if not any(imported == a or imported.startswith(f"{a}.") for a in allowed)
     }
-    assert found == set()
+    assert violations == set()
 
 
 def test_kernels_carry_their_randomness_in_their_memory():
-    found = [
+    violations = [
         f"{name}:{node.lineno}"
         for name, tree in kernels().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and dotted(node).startswith(("np.random", "numpy.random", "random."))
     ]
-    assert found == []
+    assert violations == []
 
 
 ROUNDED_BY_CPU = {
@@ -84,7 +84,7 @@ OUTWARD = ("extras/shared/frames.py",)
 
 
 def test_what_decides_bits_uses_no_function_that_differs_from_processor_to_processor():
-    found = [
+    violations = [
         f"{name}:{node.lineno} {dotted(node)}"
         for name, tree in modules().items()
         if name.startswith(DECIDE_BITS) and name not in OUTWARD
@@ -93,12 +93,12 @@ def test_what_decides_bits_uses_no_function_that_differs_from_processor_to_proce
         and node.attr in ROUNDED_BY_CPU
         and dotted(node).startswith(("math.", "np.", "stream.", "random.", "self._random"))
     ]
-    assert found == []
+    assert violations == []
 
 
 def test_compiled_powers_are_those_of_integers():
     """These are multiplications; others are the C library's."""
-    found = [
+    violations = [
         f"{name}:{node.lineno}"
         for name, tree in modules().items()
         for function in functions(tree)
@@ -108,7 +108,7 @@ def test_compiled_powers_are_those_of_integers():
         and isinstance(node.op, ast.Pow)
         and not (isinstance(node.right, ast.Constant) and isinstance(node.right.value, int))
     ]
-    assert found == []
+    assert violations == []
 
 
 def test_flights_do_without_blas():
@@ -124,10 +124,10 @@ def test_flights_do_without_blas():
         along_an_axis = any(keyword.arg == "axis" for keyword in node.keywords)
         return node.func.attr in products or (ast.unparse(node.func).startswith("np.linalg.") and not along_an_axis)
 
-    found = [
+    violations = [
         f"{name}:{node.lineno}"
         for name, tree in modules().items()
         for node in ast.walk(tree)
         if name.startswith(homes) and is_product(node)
     ]
-    assert found == []
+    assert violations == []

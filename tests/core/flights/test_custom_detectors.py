@@ -22,14 +22,14 @@ from tests.core.flights.test_checkpoints import content
 @cache
 def commands():
     """Those of the golden flight."""
-    found = set()
+    command_names = set()
 
     def note(state, time_us):
         if state.spec.name == "control.command":
-            found.add(state.header.tobytes())
+            command_names.add(state.header.tobytes())
 
     fly(mission(), recorders=[note])
-    return found
+    return command_names
 
 
 class Brittle(Scripted):

@@ -67,8 +67,8 @@ def errors(flight, estimates):
 def test_with_an_estimator_it_arrives_and_knows_where_it_is(autopilot):
     flight, rows = flown(autopilot)
     assert flight.log.status is MissionStatus.SUCCESS
-    found = errors(flight, rows[ESTIMATE])
-    assert np.sqrt(np.mean(found**2)) < 0.05 and found.max() < 0.25
+    distances = errors(flight, rows[ESTIMATE])
+    assert np.sqrt(np.mean(distances**2)) < 0.05 and distances.max() < 0.25
     assert flight.log.digest() != golden(autopilot).log.digest()
     assert fly(estimating(autopilot)).log.digest() == flight.log.digest()
 
@@ -160,8 +160,8 @@ def test_a_filter_that_remembers_nonsense_is_restarted_where_it_was(word, bit, a
     assert {alarm.state for alarm in flight.log.alarms} == {ESTIMATE}
     assert flight.log.status is MissionStatus.SUCCESS
     truth = dict(zip(np.round(1e6 * flight.log.column("time")), flight.log.columns("x", "y", "z"), strict=True))
-    said = [(floats(state.header, 3), truth[time]) for time, state in seen.rows[ESTIMATE] if time in truth]
-    assert max(np.linalg.norm(estimate - there) for estimate, there in said) < 0.25
+    pairs = [(floats(state.header, 3), truth[time]) for time, state in seen.rows[ESTIMATE] if time in truth]
+    assert max(np.linalg.norm(estimate - there) for estimate, there in pairs) < 0.25
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import dataclasses
 import pickle
-from functools import partial
 
 import numpy as np
 import pytest
@@ -10,13 +9,15 @@ import pytest
 from mavfi.detectors.detector import part_of
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
+from mavfi.faults.changes import ValueChange
+from mavfi.faults.operations import Operation
 from mavfi.flight.compose import detector_for, new_loop
 from mavfi.flight.decide import RecoveryPolicy
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.levels.memory.exposure import fly_exposed
 from mavfi.levels.memory.fault import MemoryFault
-from mavfi.levels.memory.injector import ArrayMemory, MemoryInjector, flip_bit
+from mavfi.levels.memory.injector import ArrayMemory, MemoryInjector
 from mavfi.levels.memory.request import MemoryRequest
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.waypoints import SetpointGenerator
@@ -117,7 +118,7 @@ def test_every_word_of_a_flight_can_be_struck_and_put_back(name):
     for words in list(words_of(kernel)):
         for index in {0, words.count - 1} if words.count else ():
             bit = strata.WORD_BITS[words.dtype] - 1
-            changed, back = (change(kernel, words.name, index, partial(flip_bit, bit=bit)) for _ in range(2))
+            changed, back = (change(kernel, words.name, index, ValueChange(Operation(bit=bit))) for _ in range(2))
             assert changed[0] != changed[1] or changed[0] == 0.0
             assert back[1] == changed[0] or np.isnan(changed[0])
     assert kernel.fingerprint() == before
@@ -170,7 +171,7 @@ def test_everything_that_a_detector_remembers_has_words_that_can_be_changed(name
     assert {words.dtype for words in every} <= set(strata.WORD_BITS) and len(every) >= 2
     for words in every:
         for index in {0, words.count - 1} if words.count else ():
-            flip = partial(flip_bit, bit=strata.WORD_BITS[words.dtype] - 1)
+            flip = ValueChange(Operation(bit=strata.WORD_BITS[words.dtype] - 1))
             before = content(part)
             assert change(holder, words.name, index, flip) is not None
             after = content(part)
@@ -188,7 +189,7 @@ def test_a_published_message_is_not_changed_with_what_a_detector_remembers_of_it
     odometry = new_state("sensor.odometry")
     watching.start()
     watching.accept(odometry, 0)
-    change(ArrayMemory(watching), "vehicle", 0, partial(flip_bit, bit=62))
+    change(ArrayMemory(watching), "vehicle", 0, ValueChange(Operation(bit=62)))
     assert odometry.header["x"][0] == 0.0 != watching.odometry["x"][0]
 
 

@@ -134,10 +134,13 @@ def need(command):
 
 def of(keys):
     """Commands with one of the parts as arguments of a test, in the order of the pages."""
-    found = [(page, command) for page, command in ALL if part_of(keys, command) is not None]
+    known_commands = [(page, command) for page, command in ALL if part_of(keys, command) is not None]
     return pytest.mark.parametrize(
         ("page", "command"),
-        [pytest.param(*one, marks=[pytest.mark.long] * (part_of(LONG, one[1]) is not None)) for one in found],
+        [
+            pytest.param(*page_command, marks=[pytest.mark.long] * (part_of(LONG, page_command[1]) is not None))
+            for page_command in known_commands
+        ],
     )
 
 
@@ -145,12 +148,12 @@ def of(keys):
 def test_a_command_says_what_it_should(page, command, folder, capsys):
     need(command)
     assert run(shlex.split(command)[1:]) == 0, capsys.readouterr().err
-    said = capsys.readouterr().out
-    assert re.search(SAYS[part_of(SAYS, command)], said)
+    printed = capsys.readouterr().out
+    assert re.search(SAYS[part_of(SAYS, command)], printed)
     if "mavfi watch" in command:
         text = (DOCS / page).read_text(encoding="utf-8")
         shown = re.findall(r"^    (\d+ false .*|flight.ulg, .*|(?:no )?flip.*|known .*\n)", text, re.M)
-        assert len(shown) == 7 and "\n".join(shown) in said
+        assert len(shown) == 7 and "\n".join(shown) in printed
 
 
 @of(PLANNED)

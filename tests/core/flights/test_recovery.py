@@ -215,15 +215,15 @@ class Leap(Detector):
 
 
 @pytest.mark.parametrize(
-    ("place", "alarmed"),
+    ("detector_place", "alarmed"),
     [
         ("consumer", ["control.command", "planning.waypoint"]),
         ("published", ["planning.waypoint"]),
         ("producer", []),
     ],
 )
-def test_a_detector_sees_a_fault_on_the_way_at_the_consumer_only(place, alarmed):
-    recovery = RecoveryPolicy.of(MissionSpec(detector_place=place))
+def test_a_detector_sees_a_fault_on_the_way_at_the_consumer_only(detector_place, alarmed):
+    recovery = RecoveryPolicy.of(MissionSpec(detector_place=detector_place))
     forward = FastForward(mission())
     seen = []
     for arm, detector in (("", None), ("leap", Leap())):  # as in campaigns, in which arms share flights
@@ -253,11 +253,11 @@ def test_a_detector_of_ones_own_that_always_alarms_keeps_no_mission_from_its_goa
 
 def test_keys_of_a_mission_hold_against_those_of_a_detector_only_if_they_are_set():
     spec = MissionSpec(environment="dense", seed=1, goal=GOAL)
-    found = [
+    charged = [
         api.fly(chosen, detector=Scripted("planning.waypoint", 6, "planning")).log.meta["recompute_us"]["planning"]
         for chosen in (spec, spec.model_copy(update={"grain": "stage"}))
     ]
-    assert found == [0, stage_latency(mission().platform, Stage.PLANNING)], "the way-point alone takes no time"
+    assert charged == [0, stage_latency(mission().platform, Stage.PLANNING)], "the way-point alone takes no time"
 
 
 def test_a_sensor_cannot_be_run_again_so_its_value_passes():

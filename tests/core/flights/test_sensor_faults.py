@@ -92,7 +92,16 @@ def test_a_campaign_is_the_same_on_any_number_of_workers_and_every_run_can_be_ex
     frame = Runs.read(tmp_path / "1").injected.frame
     assert sorted(frame["state"].to_list()) == ["gyro", "gyro", "motor", "motor"]
     assert sorted(set(frame["field"].to_list())) == ["drift", "off"] and frame["activated"].all()
-    found = explain(tmp_path / "1", frame["run_id"][0])
-    assert found.same
-    story = dict(steps(found.flight.log, found.golden.log, found.spec.fault, "", found.first, found.departure))
-    assert found.spec.fault.site in story["fault"] and "to the end" in story["fault"]
+    explanation = explain(tmp_path / "1", frame["run_id"][0])
+    assert explanation.same
+    story = dict(
+        steps(
+            explanation.flight.log,
+            explanation.golden.log,
+            explanation.spec.fault,
+            "",
+            explanation.first,
+            explanation.departure,
+        )
+    )
+    assert explanation.spec.fault.site in story["fault"] and "to the end" in story["fault"]

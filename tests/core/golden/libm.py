@@ -52,7 +52,7 @@ def imported(path):
             if library.name.startswith("libm.")
         }
         kinds = elf.get_section_by_name(".gnu.version")
-        found = {
+        functions = {
             symbol.name: []
             for number, symbol in enumerate(symbols.iter_symbols())
             if kinds.get_symbol(number)["ndx"] in of_libm
@@ -60,9 +60,9 @@ def imported(path):
         for section in (".rela.plt", ".rela.dyn"):
             for entry in elf.get_section_by_name(section).iter_relocations():
                 name = symbols.get_symbol(entry["r_info_sym"]).name
-                if entry["r_info_type"] in (_SYMBOL_JUMP, _SYMBOL_DATA) and name in found:
-                    found[name].append(entry["r_offset"])
-    return found
+                if entry["r_info_type"] in (_SYMBOL_JUMP, _SYMBOL_DATA) and name in functions:
+                    functions[name].append(entry["r_offset"])
+    return functions
 
 
 def _signature(name):

@@ -88,7 +88,7 @@ LAST = list(MACHINES)[-1]
 PYTHONS = os.environ.get("MAVFI_PYTHONS", "").split()
 
 
-SEVERAL_TYPES = {"mavfi.numerics.stored._put", "mavfi.numerics.stored._space"}
+SEVERAL_TYPES = {"mavfi.numerics.stored._put"}
 """Functions that are compiled for each kind of values, see `mavfi.numerics.stored`."""
 
 

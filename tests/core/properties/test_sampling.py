@@ -38,19 +38,19 @@ def test_states_are_uniform(drawn):
 def test_fields_are_uniform_within_their_state_and_none_is_dead(drawn):
     target, faults = drawn
     for state, names in target.fields.items():
-        own = [fault for fault in faults if fault.where.state == state]
-        assert uniform(Counter(fault.where.field for fault in own), len(names))
-        assert not any(STATES[state].find(fault.where.field).dead_in(AUTOPILOT) for fault in own)
+        faults_of_state = [fault for fault in faults if fault.where.state == state]
+        assert uniform(Counter(fault.where.field for fault in faults_of_state), len(names))
+        assert not any(STATES[state].find(fault.where.field).dead_in(AUTOPILOT) for fault in faults_of_state)
 
 
 def test_publications_elements_and_bits_are_uniform(drawn):
     target, faults = drawn
     for state in target.fields:
-        own = [fault for fault in faults if fault.where.state == state]
-        assert uniform(Counter(fault.time_us for fault in own), LENGTHS[state])
-        elements = Counter(fault.where.element for fault in own if fault.where.element is not None)
+        faults_of_state = [fault for fault in faults if fault.where.state == state]
+        assert uniform(Counter(fault.time_us for fault in faults_of_state), LENGTHS[state])
+        elements = Counter(fault.where.element for fault in faults_of_state if fault.where.element is not None)
         assert not elements or uniform(elements, 4)
-        doubles = Counter(f.bit for f in own if STATES[state].find(f.where.field).dtype == "f8")
+        doubles = Counter(f.bit for f in faults_of_state if STATES[state].find(f.where.field).dtype == "f8")
         assert not doubles or uniform(doubles, 12)
 
 

@@ -52,12 +52,12 @@ def test_wilson_of_nothing():
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
 def test_mcnemar_counts_discordant_pairs_and_is_the_binomial_test(pairs):
     first, second = zip(*pairs, strict=True)
-    found = mcnemar(first, second)
-    assert found.first_only == pairs.count((True, False))
-    assert found.second_only == pairs.count((False, True))
-    discordant = found.first_only + found.second_only
-    assert found.p_value == (pytest.approx(binomtest(found.first_only, discordant).pvalue) if discordant else 1)
-    assert mcnemar(second, first).p_value == pytest.approx(found.p_value)
+    estimate = mcnemar(first, second)
+    assert estimate.first_only == pairs.count((True, False))
+    assert estimate.second_only == pairs.count((False, True))
+    discordant = estimate.first_only + estimate.second_only
+    assert estimate.p_value == (pytest.approx(binomtest(estimate.first_only, discordant).pvalue) if discordant else 1)
+    assert mcnemar(second, first).p_value == pytest.approx(estimate.p_value)
 
 
 def test_mcnemar_against_the_closed_form():
@@ -66,13 +66,13 @@ def test_mcnemar_against_the_closed_form():
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans(), st.integers(0, 7)), max_size=40))
 def test_mcnemar_of_worlds_is_the_enumeration_of_their_signs(pairs):
-    first, second, world = ([pair[place] for pair in pairs] for place in range(3))
-    sums = [sum(int(a) - int(b) for a, b, other in pairs if other == one) for one in set(world)]
+    first, second, world = ([pair[column] for pair in pairs] for column in range(3))
+    sums = [sum(int(a) - int(b) for a, b, other in pairs if other == world_name) for world_name in set(world)]
     every = [
         abs(sum(s * d for s, d in zip(signs, sums, strict=True)))
         for signs in itertools.product((-1, 1), repeat=len(sums))
     ]
-    expected = sum(one >= abs(sum(sums)) for one in every) / len(every)
+    expected = sum(world_name >= abs(sum(sums)) for world_name in every) / len(every)
     assert mcnemar(first, second, world).p_value == pytest.approx(expected)
 
 
@@ -105,7 +105,7 @@ def test_cluster_sums():
 
 
 def worlds(n, per_world):
-    return [place // per_world for place in range(n)]
+    return [index // per_world for index in range(n)]
 
 
 def test_weighted_rate_finds_the_rate_of_the_population():
@@ -150,10 +150,10 @@ def test_strata_that_fail_in_the_same_worlds_add_up():
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 9)), min_size=1, max_size=60))
 def test_worlds_make_intervals_wider_never_narrower(flights):
     success, world = zip(*flights, strict=True)
-    found, plain = clustered_rate(success, world), wilson(sum(success), len(success))
-    assert (found.n, found.rate, found.successes) == (plain.n, plain.rate, plain.successes)
-    assert found.low <= plain.low + 1e-9
-    assert found.high >= plain.high - 1e-9
+    estimate, plain = clustered_rate(success, world), wilson(sum(success), len(success))
+    assert (estimate.n, estimate.rate, estimate.successes) == (plain.n, plain.rate, plain.successes)
+    assert estimate.low <= plain.low + 1e-9
+    assert estimate.high >= plain.high - 1e-9
     alone = clustered_rate(success, range(len(success)))
     assert (alone.low, alone.high) == pytest.approx((plain.low, plain.high))
 
@@ -191,32 +191,32 @@ def of_worlds(lost, regained, n=100):
 
 @pytest.mark.parametrize("regained", [0, 1, 15, 20])
 def test_recovery_that_does_no_harm_is_a_binomial_share(regained):
-    found = recovery(of_worlds(20, regained))
-    assert found.loss.value == pytest.approx(0.2)
-    assert 0 < found.loss.low < 0.2 < found.loss.high
-    assert (found.lost, found.regained) == (20, regained)
-    assert found.rate.rate == pytest.approx(regained / 20)
+    estimate = recovery(of_worlds(20, regained))
+    assert estimate.loss.value == pytest.approx(0.2)
+    assert 0 < estimate.loss.low < 0.2 < estimate.loss.high
+    assert (estimate.lost, estimate.regained) == (20, regained)
+    assert estimate.rate.rate == pytest.approx(regained / 20)
     low = beta.ppf(0.025, regained, 21 - regained) if regained else 0.0
     high = beta.ppf(0.975, regained + 1, 20 - regained) if regained < 20 else 1.0
-    assert (found.rate.low, found.rate.high) == pytest.approx((low, high))
-    assert found.rate.high - found.rate.low > 0.1
+    assert (estimate.rate.low, estimate.rate.high) == pytest.approx((low, high))
+    assert estimate.rate.high - estimate.rate.low > 0.1
 
 
 def test_harm_counts_against_a_method():
     pairs = [*of_worlds(20, 15)[:-5], *((world, True, True, False) for world in range(95, 100))]
-    found = recovery(pairs)
-    assert found.rate.rate == pytest.approx(0.5)
-    assert found.rate.low < 0.5 < found.rate.high
-    assert (found.lost, found.regained) == (20, 15)
+    estimate = recovery(pairs)
+    assert estimate.rate.rate == pytest.approx(0.5)
+    assert estimate.rate.low < 0.5 < estimate.rate.high
+    assert (estimate.lost, estimate.regained) == (20, 15)
 
 
 @pytest.mark.parametrize("failing", [0, 1, 2])
 def test_recovery_is_undefined_while_the_loss_may_be_nothing(failing):
     pairs = [(world, world != 50, world >= failing, True) for world in range(100)]
-    found = recovery(pairs)
-    assert found.rate.rate is None
-    assert found.rate.low is None
-    assert found.loss.low <= 0 <= found.loss.high
+    estimate = recovery(pairs)
+    assert estimate.rate.rate is None
+    assert estimate.rate.low is None
+    assert estimate.loss.low <= 0 <= estimate.loss.high
 
 
 def test_recovery_of_nothing():
@@ -225,23 +225,23 @@ def test_recovery_of_nothing():
 
 def test_alarms_that_come_together_leave_more_doubt_than_poisson_says():
     events = [1] * 25 + [30] * 5
-    found, poisson_alone = event_rate_by_flight(events, [0.01] * 30), event_rate(175, 0.3)
-    assert found.per_hour == pytest.approx(poisson_alone.per_hour)
-    assert found.low < 0.8 * poisson_alone.low
-    assert found.high > 1.2 * poisson_alone.high
-    assert poisson_alone.upper < found.upper < found.high
+    estimate, poisson_alone = event_rate_by_flight(events, [0.01] * 30), event_rate(175, 0.3)
+    assert estimate.per_hour == pytest.approx(poisson_alone.per_hour)
+    assert estimate.low < 0.8 * poisson_alone.low
+    assert estimate.high > 1.2 * poisson_alone.high
+    assert poisson_alone.upper < estimate.upper < estimate.high
 
 
 @given(st.lists(st.integers(0, 4), min_size=1, max_size=30))
 def test_alarm_rates_are_never_surer_than_poisson(events):
-    found, poisson_alone = (
+    estimate, poisson_alone = (
         event_rate_by_flight(events, [0.01] * len(events)),
         event_rate(sum(events), 0.01 * len(events)),
     )
-    assert found.low <= poisson_alone.low + 1e-9
-    assert found.high >= poisson_alone.high - 1e-9
+    assert estimate.low <= poisson_alone.low + 1e-9
+    assert estimate.high >= poisson_alone.high - 1e-9
     if not sum(events):
-        assert found.upper == pytest.approx(poisson_alone.upper)
+        assert estimate.upper == pytest.approx(poisson_alone.upper)
 
 
 def test_smallest_difference_shrinks_with_n_and_is_the_textbooks():

@@ -45,9 +45,9 @@ def test_kernels_write_the_states_whose_writer_they_are(built):
     localization, pipeline = built
     published = states_with(localization)
     for kernel in pipeline.values():
-        own = {name for name, spec in published.items() if spec.writer == kernel.name}
-        assert set(kernel.writes) == own and own
-        assert {STATES[name].stage for name in own} == {kernel.stage}
+        written_states = {name for name, spec in published.items() if spec.writer == kernel.name}
+        assert set(kernel.writes) == written_states and written_states
+        assert {STATES[name].stage for name in written_states} == {kernel.stage}
     written = set(chain.from_iterable(kernel.writes for kernel in pipeline.values()))
     assert set(published) - written == {name for name, spec in published.items() if spec.stage is Stage.SENSOR}
 

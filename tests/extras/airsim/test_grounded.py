@@ -49,12 +49,12 @@ def test_a_landing_is_no_collision_and_ends_at_rest():
 
 
 def test_in_the_air_it_is_the_vehicle_of_missions():
-    one, other = Grounded(open_world(), scenario(), on_ground=False), Simulator(open_world(), scenario())
-    for vehicle in (one, other):
+    grounded_vehicle, other = Grounded(open_world(), scenario(), on_ground=False), Simulator(open_world(), scenario())
+    for vehicle in (grounded_vehicle, other):
         vehicle.command(np.array([2.0, -1.0, 0.3, 0.4]), 0.7)
         vehicle.advance(1_000_000)
-    assert one.odometry.tobytes() == other.odometry.tobytes()
-    assert one.ranges(CameraConfig())[0].tobytes() == other.depth()[0].tobytes()
+    assert grounded_vehicle.odometry.tobytes() == other.odometry.tobytes()
+    assert grounded_vehicle.ranges(CameraConfig())[0].tobytes() == other.depth()[0].tobytes()
 
 
 @pytest.mark.parametrize(

@@ -57,8 +57,8 @@ def runs_of(monkeypatch, results):
 def test_golden_runs_come_first_and_must_be_the_same(monkeypatch):
     runs = runs_of(monkeypatch, [ENDED, ENDED, replace(ENDED, boundary=HIT, digest="bb")])
     assert runs.golden("").calls == (PassedCall("moveToZ", 8, 1),)
-    ((place, found),) = runs.injected([("", MessageFault("moveToZ", "z", 1))])
-    assert place == 0 and found.record().digest == "bb"
+    ((index, outcome),) = runs.injected([("", MessageFault("moveToZ", "z", 1))])
+    assert index == 0 and outcome.record().digest == "bb"
     with pytest.raises(BadInputError, match="2 error-free runs differ"):
         runs_of(monkeypatch, [ENDED, replace(ENDED, digest="bb")]).golden("")
 

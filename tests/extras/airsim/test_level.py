@@ -19,8 +19,8 @@ PROGRAM = {"host": "airsim_program", "sampling": {"level": "message"}}
 
 
 def campaign(**changes):
-    own = {**PROGRAM, "name": "c", "program": {"script": "p.py"}, "environments": ["sparse"]}
-    return parse(Campaign, {**own, "missions": 1, "faults": 300, **changes}, "campaign.yaml")
+    data = {**PROGRAM, "name": "c", "program": {"script": "p.py"}, "environments": ["sparse"]}
+    return parse(Campaign, {**data, "missions": 1, "faults": 300, **changes}, "campaign.yaml")
 
 
 def faults(of, calls=CALLS):
@@ -31,26 +31,26 @@ def faults(of, calls=CALLS):
 
 
 def test_every_call_and_number_of_its_side_is_drawn_and_no_other():
-    found, _, _ = faults(campaign())
-    arguments = [fault for fault in found if fault.field.startswith("arguments")]
-    returns = [fault for fault in found if fault.field.startswith("return")]
+    drawn_faults, _, _ = faults(campaign())
+    arguments = [fault for fault in drawn_faults if fault.field.startswith("arguments")]
+    returns = [fault for fault in drawn_faults if fault.field.startswith("return")]
     assert len(arguments) == len(returns) == 300 and {fault.topic for fault in arguments} == {"moveToZ"}
     assert {(fault.at, fault.field) for fault in arguments} == {(k, f"arguments#{n}") for k in (1, 2) for n in range(8)}
     share = Counter((fault.topic, fault.at) for fault in returns)
     assert set(share) == {("ping", 1), ("moveToZ", 1), ("moveToZ", 2)} and min(share.values()) > 70
-    assert {fault.bit for fault in found} == set(range(64))
+    assert {fault.bit for fault in drawn_faults} == set(range(64))
 
 
 def test_draws_are_the_same_in_any_share_of_the_work_and_for_some_calls_only():
-    found, _, _ = faults(campaign())
-    assert found == faults(campaign())[0] != faults(campaign(first_seed=5))[0]
+    drawn_faults, _, _ = faults(campaign())
+    assert drawn_faults == faults(campaign())[0] != faults(campaign(first_seed=5))[0]
     some, _, _ = faults(campaign(sampling={"level": "message", "calls": ["ping"], "sides": ["return"]}))
     assert len(some) == 300 and {fault.topic for fault in some} == {"ping"}
 
 
 def test_without_a_call_there_is_no_fault_and_a_null_run_flips_nothing():
-    found, sampler, golden = faults(campaign(), calls=CALLS[-1:])
-    assert set(found) == {None}
+    drawn_faults, sampler, golden = faults(campaign(), calls=CALLS[-1:])
+    assert set(drawn_faults) == {None}
     null = faults(campaign())[1].null(0, 10_000, "sparse", faults(campaign())[2])
     assert null.bit is None and null.topic == "moveToZ"
     assert sampler.null(0, 10_000, "sparse", golden).bit is None

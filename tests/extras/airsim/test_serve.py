@@ -82,4 +82,4 @@ def test_calls_are_saved_as_they_come_with_the_fault(tmp_path):
     assert "fault in moveByVelocity.vx bit 62" in printed
     after = [json.loads(line) for line in injected.read_text(encoding="utf-8").splitlines()]
     vx = [line["numbers"]["vx"] for line in after if line["topic"] == "moveByVelocity(arguments)"]
-    assert [place for place, value in enumerate(vx) if value == "nan"] == [39]
+    assert [index for index, value in enumerate(vx) if value == "nan"] == [39]

@@ -97,18 +97,18 @@ def test_a_detector_with_replaced_functions_does_as_the_compiled_one(folder):
     plain, replaced, events = load(folder), load(folder), struck_in_many_places()
     called = dict.fromkeys(replaced.compiled, 0)
 
-    def counting(own):
+    def counting(plain_function):
         def function(*arguments):
-            called[own] += 1
-            return replaced.compiled[own](*arguments)
+            called[plain_function] += 1
+            return replaced.compiled[plain_function](*arguments)
 
         return function
 
-    replaced.instrument({own: counting(own) for own in called})
+    replaced.instrument({plain_function: counting(plain_function) for plain_function in called})
     for detector in (plain, replaced):
         detector.start()
     assert finish(replaced, events) == finish(plain, events)
-    silent = {own for own, count in called.items() if count == 0}
+    silent = {plain_function for plain_function, count in called.items() if count == 0}
     assert silent == {"measure_path", "measure_trajectory", "measure_tracking"}, "the stream has no such publication"
     before = dict(called)
     replaced.instrument({})

@@ -80,19 +80,21 @@ def test_command_and_tracking(flown):
 def test_way_points(flown):
     points = of(flown, "planning.waypoint")
     motions = before_each(flown, "planning.waypoint", ("sensor.odometry",))
-    own = np.array([floats(point.header, 11) for point in points])
+    numbers = np.array([floats(point.header, 11) for point in points])
     number, index = field(points, "trajectory_seq"), field(points, "index")
     expected = {name: np.zeros(len(points)) for name in ("x", "y", "z", "vx", "vy", "vz", "index")}
     for k in range(1, len(points)):
         same = number[k] == number[k - 1]
-        start = own[k - 1, :7] if same else np.r_[floats(motions[k].header, 6)[:3], 0, floats(motions[k].header, 6)[3:]]
+        start = (
+            numbers[k - 1, :7] if same else np.r_[floats(motions[k].header, 6)[:3], 0, floats(motions[k].header, 6)[3:]]
+        )
         for axis, name in enumerate("xyz"):
-            expected[name][k] = own[k, axis] - start[axis] - own[k, 4 + axis] * own[k, 10]
-            expected[f"v{name}"][k] = own[k, 4 + axis] - start[4 + axis]
+            expected[name][k] = numbers[k, axis] - start[axis] - numbers[k, 4 + axis] * numbers[k, 10]
+            expected[f"v{name}"][k] = numbers[k, 4 + axis] - start[4 + axis]
         expected["index"][k] = 0 if index[k] == -1 else index[k] - (index[k - 1] + 1 if same else 0)
     for name, values in expected.items():
         check(flown, "planning.waypoint", name, values, 1.0 if name == "index" else 0.01)
-    check(flown, "planning.waypoint", "yaw", turn(np.diff(own[:, 3], prepend=own[0, 3])), 0.01)
+    check(flown, "planning.waypoint", "yaw", turn(np.diff(numbers[:, 3], prepend=numbers[0, 3])), 0.01)
 
 
 def test_collision_status(flown):

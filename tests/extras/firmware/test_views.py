@@ -13,10 +13,10 @@ FAULT = RegisterFault(node="firmware", walk=3000, seed=1)
 
 
 def struck(register="rax", symbol="scheduler.part.0+0x1c", time_s=3.0, **changes):
-    one = Injection(
+    injection = Injection(
         "register", register, time_s, 5, "0x0", "0x20", True, details={"register": register, "symbol": symbol}
     )
-    return flown(changes.pop("success", True), **{**changes, "injections": (one,)})
+    return flown(changes.pop("success", True), **{**changes, "injections": (injection,)})
 
 
 def lost(effect, **changes):
@@ -56,21 +56,21 @@ def each_class():
     )
 
 
-def counts(found):
-    heads = [column.key for column in found.columns]
+def counts(shown_table):
+    heads = [column.key for column in shown_table.columns]
     return {
         row[0]: dict(zip(heads[1:], (getattr(cell, "successes", cell) for cell in row[1:]), strict=True))
-        for row in found.rows
+        for row in shown_table.rows
     }
 
 
 def test_each_run_has_one_outcome():
-    found = counts(table(each_outcome(), "firmware_faults"))
-    assert found["in all"]["n"] == 5
-    assert [found["in all"][key] for key in ("identical", "arrives", "lost", "ends", "hangs")] == [1, 1, 1, 1, 1]
-    assert found["FP (XMM, YMM)"]["n"] == 1
-    assert found["FP (XMM, YMM)"]["arrives"] == 1
-    assert found["general"]["n"] == 4
+    counted = counts(table(each_outcome(), "firmware_faults"))
+    assert counted["in all"]["n"] == 5
+    assert [counted["in all"][key] for key in ("identical", "arrives", "lost", "ends", "hangs")] == [1, 1, 1, 1, 1]
+    assert counted["FP (XMM, YMM)"]["n"] == 1
+    assert counted["FP (XMM, YMM)"]["arrives"] == 1
+    assert counted["general"]["n"] == 4
 
 
 def test_functions_are_named_without_what_the_compiler_added():
@@ -80,30 +80,30 @@ def test_functions_are_named_without_what_the_compiler_added():
 def test_phases_are_thirds_of_the_golden_flight():
     third = GOLDEN.flight_time_s / 3
     records = [struck(time_s=time_s) for time_s in (0.0, 0.9 * third, 1.1 * third, 2.1 * third, 3 * third)]
-    own = runs(
+    campaign_runs = runs(
         *(golden(seed) for seed in range(1, 6)),
         *(injected(seed, record, FAULT, target="all") for seed, record in enumerate(records, 1)),
     )
-    found = counts(table(own, "firmware_phases"))
-    assert {part: row["n"] for part, row in found.items()} == {"first": 2, "second": 1, "last": 2}
+    counted = counts(table(campaign_runs, "firmware_phases"))
+    assert {part: row["n"] for part, row in counted.items()} == {"first": 2, "second": 1, "last": 2}
 
 
 def test_each_mission_has_one_class_of_control():
-    found = counts(table(each_class(), "firmware_control"))
+    counted = counts(table(each_class(), "firmware_control"))
     keys = ["identical", "slight", "degraded", "lost", "ends", "hangs"]
-    assert [found["in all"][key] for key in keys] == [1, 1, 1, 1, 1, 1]
-    assert [found["FP (XMM, YMM)"][key] for key in keys] == [1, 1, 0, 0, 0, 0]
+    assert [counted["in all"][key] for key in keys] == [1, 1, 1, 1, 1, 1]
+    assert [counted["FP (XMM, YMM)"][key] for key in keys] == [1, 1, 0, 0, 0, 0]
 
 
 def test_classes_are_shown_by_third_of_the_golden_flight():
-    found = counts(table(each_class(), "firmware_control_phases"))
-    assert (found["second"]["degraded"], found["last"]["lost"], found["first"]["n"]) == (1, 1, 4)
+    counted = counts(table(each_class(), "firmware_control_phases"))
+    assert (counted["second"]["degraded"], counted["last"]["lost"], counted["first"]["n"]) == (1, 1, 4)
 
 
 def test_classes_come_from_harmless_to_worst_with_their_largest_errors():
-    found = counts(table(each_class(), "firmware_classes"))
-    assert list(found) == ["bit-identical", "slight", "degraded", "loss of control", "process ends", "hang"]
-    assert found["degraded"]["attitude"] == pytest.approx(5.73, abs=0.01)
-    assert (found["loss of control"]["velocity"], found["loss of control"]["success"]) == (4.7, 0)
-    assert found["loss of control"]["time"] is None
-    assert found["slight"]["time"] == 0.0
+    counted = counts(table(each_class(), "firmware_classes"))
+    assert list(counted) == ["bit-identical", "slight", "degraded", "loss of control", "process ends", "hang"]
+    assert counted["degraded"]["attitude"] == pytest.approx(5.73, abs=0.01)
+    assert (counted["loss of control"]["velocity"], counted["loss of control"]["success"]) == (4.7, 0)
+    assert counted["loss of control"]["time"] is None
+    assert counted["slight"]["time"] == 0.0

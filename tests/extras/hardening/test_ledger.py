@@ -53,19 +53,19 @@ def ledger(tmp_path, effects, kernels=("pid",)):
         }
         for number, effect in enumerate(effects)
     ]
-    found = HardeningLedger(tmp_path, load_campaign("hardening"), "0" * 64, kernels)
+    hardening_ledger = HardeningLedger(tmp_path, load_campaign("hardening"), "0" * 64, kernels)
     frame = pl.DataFrame(rows, schema={name: kind for name, kind in SCHEMA.items() if name in rows[0]})
-    found.__dict__["_runs"] = Runs(frame, {}, {})
-    return found
+    hardening_ledger.__dict__["_runs"] = Runs(frame, {}, {})
+    return hardening_ledger
 
 
 def test_losses_and_proof(tmp_path):
-    found = ledger(tmp_path, ["sdc", "masked", "masked", "crash"])
-    assert found.losses == (1, 1, 1, 0)
-    proof = parse(Campaign, found.proof(tmp_path / "plan.yaml"), "proof")
+    losses = ledger(tmp_path, ["sdc", "masked", "masked", "crash"])
+    assert losses.losses == (1, 1, 1, 0)
+    proof = parse(Campaign, losses.proof(tmp_path / "plan.yaml"), "proof")
     assert proof.require == ("protected: sdc < 25.0 %",)
     assert proof.first_seed == 10_008 and proof.sampling.kernels == ("pid",)
-    assert proof.mission == found.campaign.mission and list(proof.arms) == ["protected"]
+    assert proof.mission == losses.campaign.mission and list(proof.arms) == ["protected"]
 
 
 def test_nothing_is_proved_without_a_silent_corruption_and_nothing_chosen_without_a_fault(tmp_path):

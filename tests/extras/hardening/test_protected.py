@@ -82,10 +82,14 @@ def paired_logs(protected, plain_faults):
 def test_the_shipped_plan_is_that_of_the_code(plan):
     """Made again after a change of a kernel: mavfi harden DIR --kernels pid,rrt_connect --addresses --budget 10."""
     shipped = load_plan("full")
-    own = [one.model_copy(update={"time": 1.0}) for one in shipped.functions if one.kernel == "pid"]
-    assert tuple(own) == plan.functions
-    assert any(one.kernel == "rrt_connect" and one.function.endswith(".plan") for one in shipped.functions)
-    assert shipped.cpu and all(one.time > 1.0 for one in shipped.functions), "measured"
+    pid_functions = [
+        function.model_copy(update={"time": 1.0}) for function in shipped.functions if function.kernel == "pid"
+    ]
+    assert tuple(pid_functions) == plan.functions
+    assert any(
+        function.kernel == "rrt_connect" and function.function.endswith(".plan") for function in shipped.functions
+    )
+    assert shipped.cpu and all(function.time > 1.0 for function in shipped.functions), "measured"
 
 
 def test_the_golden_flight_is_the_plain_one(golden, protected):
@@ -124,9 +128,9 @@ def test_faults_are_drawn_over_the_protected_program(protected, golden):
 def test_forks_from_checkpoints_have_the_records_of_those_from_take_off(protected, plain_faults, paired_logs):
     flights = LocalHost().mission({"": ArmSetup(protected)})
     flights.register_golden("", fly(protected))
-    found = dict(flights.injected([("", fault) for fault in plain_faults]))
-    for place, log in enumerate(paired_logs):
-        assert found[place].record() == record_of(log)
+    forked = dict(flights.injected([("", fault) for fault in plain_faults]))
+    for index, log in enumerate(paired_logs):
+        assert forked[index].record() == record_of(log)
 
 
 def test_a_detected_fault_is_explained(golden, paired_logs):
@@ -149,14 +153,16 @@ def test_a_detected_fault_is_explained(golden, paired_logs):
     ],
 )
 def test_a_plan_that_does_not_fit_is_refused_in_one_line(plan, folder, changes, function_changes, message):
-    functions = tuple(one.model_copy(update=function_changes) for one in plan.functions)
+    functions = tuple(function.model_copy(update=function_changes) for function in plan.functions)
     save_plan(plan.model_copy(update={"functions": functions, **changes}), folder / "bad.yaml")
     with pytest.raises(BadInputError, match=message):
         fly(mission(folder / "bad.yaml"))
 
 
 def test_the_measured_time_is_charged(plan, folder):
-    slow = plan.model_copy(update={"functions": tuple(one.model_copy(update={"time": 1.5}) for one in plan.functions)})
+    slow = plan.model_copy(
+        update={"functions": tuple(function.model_copy(update={"time": 1.5}) for function in plan.functions)}
+    )
     save_plan(slow, folder / "slow.yaml")
     plain, charged = shipped("platforms", PlatformConfig, "i9-9940x").latency_us, mission(folder / "slow.yaml").platform
     assert charged.latency_us == plain | {"pid": round(1.5 * plain["pid"])}

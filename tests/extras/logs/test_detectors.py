@@ -149,8 +149,8 @@ def test_detectors_of_all_fields_learn_from_recordings(files):
     log_watch = LogWatch("limits", "tuned", select(normal, judged, Wanted(["x", "y", "vx", "vy"])), normal)
     result = log_watch.judge(judged[0], flips=60)
     assert result.events <= 1
-    found = [flip.detected for flip in result.flips if flip.bit_class == "sign"]
-    assert np.mean(found) >= 0.8
+    detected = [flip.detected for flip in result.flips if flip.bit_class == "sign"]
+    assert np.mean(detected) >= 0.8
     assert log_watch.judge(judged[0], flips=60).flips == result.flips
 
 

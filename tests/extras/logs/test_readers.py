@@ -32,20 +32,20 @@ X = {
 
 
 def read(path, topic, field):
-    found = list(open_flight_log(path).messages([topic]))
-    return [m.time_us for m in found], [m.layout.locate(m.data, field).value(m.data) for m in found], found
+    messages = list(open_flight_log(path).messages([topic]))
+    return [m.time_us for m in messages], [m.layout.locate(m.data, field).value(m.data) for m in messages], messages
 
 
 @pytest.mark.parametrize("ending", X)
 def test_numbers_and_times_are_those_of_the_flight(files, ending):
     topic, field = X[ending]
-    times, values, found = read(files(ending, "a"), topic, field)
+    times, values, messages = read(files(ending, "a"), topic, field)
     log = make_log(0.0)
     assert times == np.rint(1e6 * log.column("time")).astype(int).tolist()
     kind = np.float32 if ending in ("ulg", "tlog") else np.float64
     assert np.array_equal(np.array(values), log.column("x").astype(kind))
-    assert found[0].layout.check(field) == np.dtype(kind).name
-    assert field in found[0].layout.numbers(found[0].data, 16)
+    assert messages[0].layout.check(field) == np.dtype(kind).name
+    assert field in messages[0].layout.numbers(messages[0].data, 16)
 
 
 @pytest.mark.parametrize("ending", X)
@@ -126,8 +126,8 @@ def test_damaged_files_are_read_or_refused_in_one_line_and_nothing_is_printed(fi
     refused = 0
     for _ in range(25):
         damaged = bytearray(content)
-        for place in random.integers(len(damaged), size=random.integers(1, 20)):
-            damaged[place] ^= 1 << int(random.integers(8))
+        for position in random.integers(len(damaged), size=random.integers(1, 20)):
+            damaged[position] ^= 1 << int(random.integers(8))
         path.write_bytes(damaged[: random.integers(len(damaged) // 2, len(damaged))])
         try:
             for message in open_flight_log(path).messages([]):

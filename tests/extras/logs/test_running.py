@@ -39,13 +39,13 @@ def ground_station():
 
 def test_a_ground_station_receives_the_flight_fault_and_end(golden, ground_station):
     mavlink = pytest.importorskip("pymavlink.dialects.v20.common", reason="pymavlink (extra logs) is not installed")
-    parser, found, done = mavlink.MAVLink(None), [], threading.Event()
+    parser, messages, done = mavlink.MAVLink(None), [], threading.Event()
 
     def receive():
         ground_station.settimeout(0.5)
         while not done.is_set():
             try:
-                found.extend(parser.parse_buffer(ground_station.recv(65_535)) or ())
+                messages.extend(parser.parse_buffer(ground_station.recv(65_535)) or ())
             except TimeoutError:
                 continue
 
@@ -58,9 +58,9 @@ def test_a_ground_station_receives_the_flight_fault_and_end(golden, ground_stati
     done.set()
     receiver.join()
     assert flight.log.digest() == golden.log.digest(), "observation changes nothing"
-    positions = [(m.x, m.y, m.z) for m in found if m.get_type() == "LOCAL_POSITION_NED"]
+    positions = [(m.x, m.y, m.z) for m in messages if m.get_type() == "LOCAL_POSITION_NED"]
     assert np.array_equal(np.array(positions[:50]), ned_of(flight.log.rows).position[:50].astype(np.float32))
-    texts = [(m.severity, m.text) for m in found if m.get_type() == "STATUSTEXT" and not m.chunk_seq]
+    texts = [(m.severity, m.text) for m in messages if m.get_type() == "STATUSTEXT" and not m.chunk_seq]
     assert [text for severity, text in texts if severity == 3][0].startswith("fault: planning.waypoint.x bit 62: ")
     assert texts[-1][1].startswith(flight.log.status.label)
 

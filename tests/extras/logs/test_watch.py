@@ -37,8 +37,8 @@ def test_flips_are_drawn_by_class_and_detected(watching, recordings):
     assert [classes.count(name) for name in ("sign", "exponent", "mantissa")] == [30, 30, 30]
     bits = {"sign": range(63, 64), "exponent": range(52, 63), "mantissa": range(52)}
     assert all(flip.bit in bits[flip.bit_class] and flip.field in ("x", "y", "vz") for flip in judged.flips)
-    found = {name: rate.rate for name, rate in LogRates([judged]).flips.items()}
-    assert found["sign"] > 0.5 and found["exponent"] > 0.5 and found["mantissa"] < 0.5
+    rates = {name: rate.rate for name, rate in LogRates([judged]).flips.items()}
+    assert rates["sign"] > 0.5 and rates["exponent"] > 0.5 and rates["mantissa"] < 0.5
     assert watching.judge(recordings["a"], flips=90, seed=5).flips == judged.flips
     assert watching.judge(recordings["a"], flips=90, seed=6).flips != judged.flips
 
@@ -48,9 +48,9 @@ def test_a_known_fault_is_judged_by_its_delay(files):
     normal = [read_recording(files("ulg", name)) for name in ("a", "b")]
     faulty = read_recording(files("ulg", "fault"), "mavfi_fault:active")
     assert faulty.onset_us == 9_000_000
-    found = LogWatch("gaussian", "tuned", select(normal, [faulty]), normal).judge(faulty)
-    assert found.has_fault and 0 <= found.fault_delay_s < 0.1
-    assert found.exposure_s == pytest.approx(8.98) and found.after_fault_s == pytest.approx(2.98)
+    judged_log = LogWatch("gaussian", "tuned", select(normal, [faulty]), normal).judge(faulty)
+    assert judged_log.has_fault and 0 <= judged_log.fault_delay_s < 0.1
+    assert judged_log.exposure_s == pytest.approx(8.98) and judged_log.after_fault_s == pytest.approx(2.98)
 
 
 @pytest.mark.parametrize("ending", ["ulg", "tlog"])
@@ -130,16 +130,16 @@ def test_fields_that_are_not_in_all_recordings_are_refused(recordings, wanted):
 def test_the_command_reads_every_format(files, ending, capsys):
     log, train = (str(files(ending, name)) for name in ("b", "a"))
     assert run(["watch", log, "--train", train, "--inject", "6", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["alarms_per_hour"]["events"] <= 1 and found["exposure_s"] == pytest.approx(11.98)
-    assert {name: rate["n"] for name, rate in found["flips"].items()} == {"sign": 2, "exponent": 2, "mantissa": 2}
+    judged_log = json.loads(capsys.readouterr().out)
+    assert judged_log["alarms_per_hour"]["events"] <= 1 and judged_log["exposure_s"] == pytest.approx(11.98)
+    assert {name: rate["n"] for name, rate in judged_log["flips"].items()} == {"sign": 2, "exponent": 2, "mantissa": 2}
 
 
 def test_several_logs_that_are_split_are_all_counted(files, capsys):
     logs = [str(files("csv", name)) for name in ("a", "b")]
     assert run(["watch", *logs, "--split", "0.5", "--fields", "vx,vy", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["trained_on"] == 600 and found["fields"] == {"row": ["vx", "vy"]}
+    judged_log = json.loads(capsys.readouterr().out)
+    assert judged_log["trained_on"] == 600 and judged_log["fields"] == {"row": ["vx", "vy"]}
 
 
 @pytest.mark.parametrize(

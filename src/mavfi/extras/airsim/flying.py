@@ -1,9 +1,7 @@
 """Calls that fly: arming, tasks, poses."""
 
 import math
-from collections.abc import Callable, Sequence
 from functools import partial
-from inspect import Parameter, Signature
 from typing import Any
 
 import numpy as np
@@ -127,45 +125,33 @@ def _hover(api: Api) -> Task:
     return hover(api.vehicle)
 
 
-_VELOCITIES = {
-    "moveByVelocity": "vx vy vz",
-    "moveByVelocityZ": "vx vy z",
-    "moveByVelocityBodyFrame": "vx vy vz",
-    "moveByVelocityZBodyFrame": "vx vy z",
-}
-"""Arguments of the tasks for velocities (m/s; height, m), before the duration."""
+@task
+def moveByVelocity(
+    api: Api, vx: float, vy: float, vz: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
+) -> Task:
+    return fly_velocity(api.vehicle, (vx, vy, vz), duration, yaw_of(yaw_mode, drivetrain))
 
 
-def _with_signature(function: Callable[..., Task], numbers: Sequence[str], **others: Any) -> Callable[..., Task]:
-    """Name the arguments of a task: numbers, then others with their defaults."""
-    kind = Parameter.POSITIONAL_ONLY
-    parameters = [Parameter("api", kind), *(Parameter(name, kind, annotation=float) for name in numbers)]
-    parameters += [Parameter(name, kind, default=default, annotation=type(default)) for name, default in others.items()]
-    function.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    return function
+@task
+def moveByVelocityZ(
+    api: Api, vx: float, vy: float, z: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
+) -> Task:
+    return fly_velocity_at(api.vehicle, (vx, vy), z, duration, yaw_of(yaw_mode, drivetrain))
 
 
-def _add_velocity_task(name: str, arguments: str) -> None:
-    along_heading = name.endswith("BodyFrame")
-    at_height = arguments.endswith(" z")
-
-    def fly(
-        api: Api, vx: float, vy: float, vertical: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
-    ) -> Task:
-        yaw = yaw_of(yaw_mode, drivetrain)
-        horizontal = (vx, vy)
-        if along_heading:
-            horizontal = from_body(api.vehicle, vx, vy)
-        if at_height:
-            return fly_velocity_at(api.vehicle, horizontal, vertical, duration, yaw)
-        return fly_velocity(api.vehicle, (*horizontal, vertical), duration, yaw)
-
-    numbers = (*arguments.split(), "duration")
-    task(_with_signature(fly, numbers, drivetrain=0, yaw_mode=None), name)
+@task
+def moveByVelocityBodyFrame(
+    api: Api, vx: float, vy: float, vz: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
+) -> Task:
+    velocity = (*from_body(api.vehicle, vx, vy), vz)
+    return fly_velocity(api.vehicle, velocity, duration, yaw_of(yaw_mode, drivetrain))
 
 
-for _name, _arguments in _VELOCITIES.items():
-    _add_velocity_task(_name, _arguments)
+@task
+def moveByVelocityZBodyFrame(
+    api: Api, vx: float, vy: float, z: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None
+) -> Task:
+    return fly_velocity_at(api.vehicle, from_body(api.vehicle, vx, vy), z, duration, yaw_of(yaw_mode, drivetrain))
 
 
 @task
@@ -239,38 +225,57 @@ def rotateByYawRate(api: Api, yaw_rate: float, duration: float) -> Task:
 
 
 # ---- attitude, rates, motors -----------------------------------------------------------------------------------------
-_ATTITUDES = {
-    "moveByRollPitchYawZ": "roll pitch yaw z",
-    "moveByRollPitchYawThrottle": "roll pitch yaw throttle",
-    "moveByRollPitchYawrateThrottle": "roll pitch yaw_rate throttle",
-    "moveByRollPitchYawrateZ": "roll pitch yaw_rate z",
-    "moveByAngleRatesZ": "roll_rate pitch_rate yaw_rate z",
-    "moveByAngleRatesThrottle": "roll_rate pitch_rate yaw_rate throttle",
-    "moveByAngle": "pitch roll z yaw",  # before AirSim 1.3
-    "moveByAngleZ": "pitch roll z yaw",
-    "moveByAngleThrottle": "pitch roll throttle yaw_rate",
-}
-"""Arguments of the tasks for attitudes and body rates (rad, rad/s), before the duration."""
+# Angles in rad, rates in rad/s, FRD.  The height z (NED, m) or the throttle, a share of the largest thrust, sets the
+# collective thrust.
+@task
+def moveByRollPitchYawZ(api: Api, roll: float, pitch: float, yaw: float, z: float, duration: float) -> Task:
+    return fly_rotors(api.vehicle, at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(z=z)), duration)
 
 
-def _add_attitude_task(name: str, arguments: str) -> None:
-    numbers = (*arguments.split(), "duration")
-
-    def fly(api: Api, *values: Any) -> Task:
-        target = dict(zip(numbers, values, strict=False))
-        vertical = Vertical(target.get("throttle"), target.get("z", 0.0))
-        if "roll_rate" in target:
-            rotors = at_rates(api.vehicle, target["roll_rate"], target["pitch_rate"], target["yaw_rate"], vertical)
-        else:
-            yaw = target.get("yaw", 0.0)
-            rotors = at_attitude(api.vehicle, target["roll"], target["pitch"], yaw, target.get("yaw_rate"), vertical)
-        return fly_rotors(api.vehicle, rotors, target["duration"])
-
-    task(_with_signature(fly, numbers), name)
+@task
+def moveByRollPitchYawThrottle(
+    api: Api, roll: float, pitch: float, yaw: float, throttle: float, duration: float
+) -> Task:
+    return fly_rotors(api.vehicle, at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(throttle)), duration)
 
 
-for _name, _arguments in _ATTITUDES.items():
-    _add_attitude_task(_name, _arguments)
+@task
+def moveByRollPitchYawrateZ(api: Api, roll: float, pitch: float, yaw_rate: float, z: float, duration: float) -> Task:
+    return fly_rotors(api.vehicle, at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(z=z)), duration)
+
+
+@task
+def moveByRollPitchYawrateThrottle(
+    api: Api, roll: float, pitch: float, yaw_rate: float, throttle: float, duration: float
+) -> Task:
+    return fly_rotors(api.vehicle, at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(throttle)), duration)
+
+
+@task
+def moveByAngleRatesZ(
+    api: Api, roll_rate: float, pitch_rate: float, yaw_rate: float, z: float, duration: float
+) -> Task:
+    return fly_rotors(api.vehicle, at_rates(api.vehicle, roll_rate, pitch_rate, yaw_rate, Vertical(z=z)), duration)
+
+
+@task
+def moveByAngleRatesThrottle(
+    api: Api, roll_rate: float, pitch_rate: float, yaw_rate: float, throttle: float, duration: float
+) -> Task:
+    return fly_rotors(api.vehicle, at_rates(api.vehicle, roll_rate, pitch_rate, yaw_rate, Vertical(throttle)), duration)
+
+
+def moveByAngleZ(api: Api, pitch: float, roll: float, z: float, yaw: float, duration: float) -> Task:
+    return fly_rotors(api.vehicle, at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(z=z)), duration)
+
+
+task(moveByAngleZ)
+task(moveByAngleZ, "moveByAngle")  # its name before AirSim 1.3
+
+
+@task
+def moveByAngleThrottle(api: Api, pitch: float, roll: float, throttle: float, yaw_rate: float, duration: float) -> Task:
+    return fly_rotors(api.vehicle, at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(throttle)), duration)
 
 
 @task

@@ -23,6 +23,7 @@ from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
 from mavfi.config import Config, shipped
 from mavfi.plugins import Chapter
+from mavfi.report.text import cell
 from mavfi.states import DETECTORS, PLANNERS
 
 _HOUR = 3600.0
@@ -480,9 +481,7 @@ def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
     rates_by_environment: dict[str, list[str]] = {}
     for (environment, setting), kernels in exposed(runs).items():
         total = _caused(kernels, upset)
-        rates_by_environment.setdefault(environment, []).append(
-            f"{setting} {total.value:.1e} [{total.low:.1e}, {total.high:.1e}]"
-        )
+        rates_by_environment.setdefault(environment, []).append(f"{setting} {cell(total, ESTIMATE)}")
     rates = [
         f"Failures per flight hour, {environment}: {'; '.join(texts)}."
         for environment, texts in rates_by_environment.items()

@@ -106,19 +106,19 @@ def inject(  # noqa: PLR0913 - one parameter per option
             "share": share,
         },
     )
-    from mavfi.extras.ros.ros2.fault_text import site_of
+    from mavfi.extras.ros.ros2.fault_text import side_of
+    from mavfi.extras.ros.ros2.graph import absolute
 
     if service and not side:
         raise BadInputError("--side: allowed with --service: request, response")
+    kind = "topic"
     if service:
-        site = site_of("service", service, side)
-    else:
-        site = site_of("topic", topic, side)
+        kind = "service"
     if duration is None:
         duration = _MAX_DURATION_S
     from mavfi.extras.ros.ros2.interposer.page import InterposedFault
 
-    fault = InterposedFault(site.name, field, change.operation, change.when, site.side, seed)
+    fault = InterposedFault(absolute(topic or service), field, change, side_of(kind, side), seed)
     _inject(fault, node, duration, as_json=as_json)
 
 
@@ -243,7 +243,7 @@ def report_line(injected: GraphInjection) -> str:
         instant += f", simulated {report.sim_s:.3f} s"
     if report.kind != "changed":
         return f"{head}: NOT changed: {report.text} ({where}, {instant})"
-    what = str(fault.operation)
+    what = str(fault.change.operation)
     if fault.field:
         change = f"{report.before!r} → {report.after!r}"
         if report.bit is not None:

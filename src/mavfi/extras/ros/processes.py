@@ -53,6 +53,15 @@ def is_alive(pid: int) -> bool:
         return False
 
 
+def is_traced(pid: int) -> bool:
+    """Whether a tracer is attached to a thread of a process."""
+    for path in Path(f"/proc/{pid}/task").glob("*/status"):
+        with suppress(OSError):  # the thread has ended
+            if "TracerPid:\t0\n" not in path.read_text():
+                return True
+    return False
+
+
 def reap() -> bool:
     """Reap exited children; returns whether any children remain."""
     try:
@@ -63,21 +72,29 @@ def reap() -> bool:
     return True
 
 
-def children(parent: int) -> list[int]:
-    """Process ids of the children of a process."""
-    numbers = []
+def children_by_parent() -> dict[int, list[int]]:
+    """Process ids of the children of each process that has some."""
+    children: dict[int, list[int]] = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
             fields = path.read_text().rpartition(")")[2].split()
-            if int(fields[1]) == parent:
-                numbers.append(int(path.parent.name))
-    return numbers
+            children.setdefault(int(fields[1]), []).append(int(path.parent.name))
+    return children
+
+
+def descendants(pid: int) -> list[int]:
+    """A process and all that descend from it."""
+    children = children_by_parent()
+    family = [pid]
+    for parent in family:
+        family += children.get(parent, [])
+    return family
 
 
 def end_all() -> None:
     """Kill all children, including orphaned descendants as they are adopted."""
     while reap():
-        for pid in children(os.getpid()):
+        for pid in children_by_parent().get(os.getpid(), []):
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         time.sleep(_POLL_S)

@@ -138,7 +138,7 @@ def draw_instruction_faults(
     """
     from mavfi.flight.host import ArmSetup
     from mavfi.flight.mission_flights import LocalHost
-    from mavfi.flight.second_plan import SecondPlan
+    from mavfi.levels.instruction.second_plan import SecondPlan
 
     mission_targets = Targets(scenario, detector)
     targets = {kernel: mission_targets.find(kernel) for kernel in request.kernels}

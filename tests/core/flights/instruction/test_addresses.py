@@ -44,7 +44,7 @@ def faults():
         draw_instruction_faults(scenario(), InstructionRequest(KERNELS, which="address"), seed=seed).faults
         for seed in SEEDS
     ]
-    return [fault for faults in drawn for own in faults.values() for fault in own]
+    return [fault for faults in drawn for of_kernel in faults.values() for fault in of_kernel]
 
 
 @pytest.fixture(scope="module")

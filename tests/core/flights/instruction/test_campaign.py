@@ -99,36 +99,6 @@ def test_kernels_have_equal_numbers_and_golden_runs_count_what_they_execute(in_d
         )
 
 
-# ---- arms, stages, strata -------------------------------------------------------------------------------------------
-@pytest.fixture(scope="module")
-def by_stage(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("stages")
-    config = campaign(
-        4,
-        {"idle": {"detector": "none"}},
-        kernels=["point_cloud", "collision_check", "pid"],
-        which="data",
-        share="stage",
-    )
-    assert flown_into(directory, config).complete
-    return directory
-
-
-def test_each_stage_has_its_number_and_its_kernels_share_it(by_stage):
-    kernels = Counter(completed.spec.target for completed in runs_of(by_stage, "fi"))
-    assert kernels == {"point_cloud": 2, "collision_check": 2, "pid": 4}
-
-
-def test_arms_fly_the_same_faults(by_stage):
-    fi, watched = (
-        [(completed.spec.fault, completed.record.digest) for completed in runs_of(by_stage, setting)]
-        for setting in ("fi", "dr_idle")
-    )
-    assert len(fi) == 8
-    assert fi == watched, "a detector that never alarms changes nothing"
-    assert replay(by_stage, runs_of(by_stage, "dr_idle")[0].spec.run_id).same
-
-
 # ---- faults in addresses --------------------------------------------------------------------------------------------
 ADDRESSES = {"kernels": ["pid", "point_cloud"], "which": "address"}
 

@@ -21,6 +21,10 @@ def output(value):
 
 @pytest.mark.parametrize(("value", "largest"), [(2.5, 2.5), (math.inf, math.inf), (SIGNALLING, math.inf)])
 def test_any_corrupted_value_is_described_without_a_warning(value, largest):
-    found = first_difference(output(0.0), output(value))
-    assert found is not None and (found["field"], found["element"], found["elements"]) == ("x", 1, 1)
-    assert found["largest"] == largest
+    difference = first_difference(output(0.0), output(value))
+    assert difference is not None and (difference["field"], difference["element"], difference["elements"]) == (
+        "x",
+        1,
+        1,
+    )
+    assert difference["largest"] == largest

@@ -38,8 +38,8 @@ def scenario(**options):
 @cache
 def drawn(which, seed, number=3, **options):
     request = InstructionRequest(dict.fromkeys(KERNELS, number), which, restart_s=0.3)
-    found = draw_instruction_faults(scenario(**options), request, "test", seed=seed)
-    return [fault for faults in found.faults.values() for fault in faults]
+    drawn_faults = draw_instruction_faults(scenario(**options), request, "test", seed=seed)
+    return [fault for faults in drawn_faults.faults.values() for fault in faults]
 
 
 def records(flights):
@@ -85,13 +85,15 @@ def test_runs_with_detectors_that_follow_from_those_without_are_the_same(which):
         {name: fly(flown, None, make()) for name, make in makers.items()},
     )
     watched = [FlownArm(name, make()) for name, make in makers.items()]
-    found = fly_from_checkpoints(forward, faults, fly(flown), watched=watched).watched
+    followed = fly_from_checkpoints(forward, faults, fly(flown), watched=watched).watched
     for name, make in makers.items():
         slow = records(fly_instruction_faults(flown, faults, make(), golden[name]).flights)
-        assert {place: flight.record() for place, flight in found[name].items()} == {n: slow[n] for n in found[name]}
-    assert len(found["autoencoder"]) >= 0.8 * len(faults)
-    assert any(flight.log.alarms for own in found.values() for flight in own.values()) or which == "address"
-    assert {flight.record().kernel.effect for flight in found["autoencoder"].values()} >= {"masked", "sdc"}
+        assert {index: flight.record() for index, flight in followed[name].items()} == {
+            n: slow[n] for n in followed[name]
+        }
+    assert len(followed["autoencoder"]) >= 0.8 * len(faults)
+    assert any(flight.log.alarms for of_arm in followed.values() for flight in of_arm.values()) or which == "address"
+    assert {flight.record().kernel.effect for flight in followed["autoencoder"].values()} >= {"masked", "sdc"}
 
 
 def test_instructions_are_counted_and_resolved_in_the_flight_that_takes_checkpoints(monkeypatch):

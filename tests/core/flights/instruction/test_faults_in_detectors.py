@@ -58,11 +58,11 @@ def test_the_table_names_the_functions_of_each_detector(name, profile):
     if hasattr(part, "seal"):
         part.seal(state, 0)
     alarm = part.check(state, 0)
-    own = len(calls)
+    call_count = len(calls)
     assert set(calls) < set(part.compiled.values()) or set(calls) == set(part.compiled.values()) != set()
     part.instrument({})
     assert part.check(state.copy(), 0) == alarm
-    assert len(calls) == own
+    assert len(calls) == call_count
 
 
 def test_a_configuration_names_the_detector_whose_instructions_can_be_struck():
@@ -115,12 +115,12 @@ def test_a_flight_continues_whatever_becomes_of_its_detector(name):
     assert counts["calls"] > 1_000 and counts["instructions"] > 10 * counts["calls"]
     faults = drawn.faults[name]
     hanging = replace(faults[0], budget=1)
-    found = fly_instruction_faults(scenario, [*faults, hanging], watching)
-    assert found.golden.log.digest() == drawn.golden.log.digest()
-    assert [flight.log.status for flight in found.flights] == [MissionStatus.SUCCESS] * 4
-    assert found.flights[-1].log.kernel.effect == "hang"
-    assert found.flights[-1].log.digest() == found.golden.log.digest(), "nothing depends on a silent detector"
-    assert np.array_equal(found.golden.log.rows, drawn.golden.log.rows)
+    flown = fly_instruction_faults(scenario, [*faults, hanging], watching)
+    assert flown.golden.log.digest() == drawn.golden.log.digest()
+    assert [flight.log.status for flight in flown.flights] == [MissionStatus.SUCCESS] * 4
+    assert flown.flights[-1].log.kernel.effect == "hang"
+    assert flown.flights[-1].log.digest() == flown.golden.log.digest(), "nothing depends on a silent detector"
+    assert np.array_equal(flown.golden.log.rows, drawn.golden.log.rows)
 
 
 @pytest.mark.slow  # counts the instructions of two golden flights

@@ -95,21 +95,21 @@ def test_publications_of_an_injected_flight_are_recorded_without_a_change_of_it(
     golden = [TimedState(time_us, state) for state, time_us in fly_recorded(scenario())[1]]
     effects = [flight.log.kernel for flight in flown.flights]
     faults = [*drawn.faults["pid"], *drawn.faults["point_cloud"]]
-    masked = next(place for place, effect in enumerate(effects) if effect.effect == "masked")
-    wrong = next(place for place, effect in enumerate(effects) if effect.first_difference)
-    for place in (masked, wrong):
-        flight, published = fly_recorded(scenario(), faults[place])
-        assert flight.log.digest() == flown.flights[place].log.digest()
+    masked = next(index for index, effect in enumerate(effects) if effect.effect == "masked")
+    wrong = next(index for index, effect in enumerate(effects) if effect.first_difference)
+    for index in (masked, wrong):
+        flight, published = fly_recorded(scenario(), faults[index])
+        assert flight.log.digest() == flown.flights[index].log.digest()
         seen = [TimedState(time_us, state) for state, time_us in published]
-        found, reported = divergence.first_difference(golden, seen), effects[place].first_difference
+        difference, reported = divergence.first_difference(golden, seen), effects[index].first_difference
         if reported is None:
-            assert found is None and len(seen) == len(golden)
+            assert difference is None and len(seen) == len(golden)
         else:
-            late_us = found.time_us - round(1e6 * flight.log.injections[0].time_s)
-            assert found.state == reported["state"] and 0 <= late_us < 10_000, (
+            late_us = difference.time_us - round(1e6 * flight.log.injections[0].time_s)
+            assert difference.state == reported["state"] and 0 <= late_us < 10_000, (
                 "published at the end of the injected step"
             )
-            assert found.field.startswith(reported["field"])
+            assert difference.field.startswith(reported["field"])
 
 
 @pytest.mark.slow
@@ -195,9 +195,14 @@ def test_first_difference_names_field_element_and_size():
     other = elements.copy()
     other["x"][[1, 3]] = 2.0, -5.0
     golden, injected = Output({"a.b": (header, elements)}, b""), Output({"a.b": (header, other)}, b"")
-    found = first_difference(golden, injected)
-    assert (found["state"], found["field"], found["element"]) == ("a.b", "x", 1)
-    assert (found["before"], found["after"], found["elements"], found["largest"]) == (0.0, 2.0, 2, 5.0)
+    difference = first_difference(golden, injected)
+    assert (difference["state"], difference["field"], difference["element"]) == ("a.b", "x", 1)
+    assert (difference["before"], difference["after"], difference["elements"], difference["largest"]) == (
+        0.0,
+        2.0,
+        2,
+        5.0,
+    )
     assert first_difference(golden, golden) is None
     shorter = first_difference(golden, Output({"a.b": (header, elements[:3])}, b""))
     assert (shorter["field"], shorter["before"], shorter["after"]) == ("elements", 4, 3)

@@ -7,8 +7,8 @@ from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
 from mavfi.flight.host import ArmSetup
 from mavfi.flight.mission_flights import LocalHost
-from mavfi.flight.second_plan import SecondPlan
 from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
+from mavfi.levels.instruction.second_plan import SecondPlan
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 

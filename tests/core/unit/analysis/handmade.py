@@ -58,9 +58,9 @@ def golden(seed, record=GOLDEN, *, arm="", environment="sparse"):
 def injected(seed, record, fault=FAULT, *, arm="", index=None, target="planning", environment="sparse"):
     setting = f"dr_{arm}" if arm else "fi"
     profile = "paper" if arm else ""
-    place = seed if index is None else index
+    position = seed if index is None else index
     return Run(
-        RunSpec("injected", setting, environment, seed, "key", arm, arm, profile, "", target, place, fault), record
+        RunSpec("injected", setting, environment, seed, "key", arm, arm, profile, "", target, position, fault), record
     )
 
 
@@ -68,11 +68,11 @@ def null(seed, record, fault=FAULT):
     return Run(RunSpec("null", "null", "sparse", seed, "key", target="null", index=seed, fault=fault), record)
 
 
-def runs(*own, **about):
-    return Runs.of(own, {**ABOUT, **about})
+def runs(*entries, **about):
+    return Runs.of(entries, {**ABOUT, **about})
 
 
 def row(record, fault=FAULT, twin=GOLDEN):
     """Row of one run with a fault."""
-    own = [golden(1, twin)] if twin is not None else []
-    return list(runs(*own, injected(1, record, fault)).injected)[0]
+    entries = [golden(1, twin)] if twin is not None else []
+    return list(runs(*entries, injected(1, record, fault)).injected)[0]

@@ -14,16 +14,16 @@ SAVED = range(1, 20)
 
 def campaign(saved=(), *, first_seed=0, faults=2, time_s=50.0, fault=FAULT, setting_arm="", **about):
     """Forty missions with some faults each, which lose the odd ones unless they are saved."""
-    own = []
+    entries = []
     for seed in range(1, 41):
-        own.append(golden(first_seed + seed))
+        entries.append(golden(first_seed + seed))
         for number in range(faults):
             lost = seed % 2 == 1 and seed not in saved
             flight_time_s = 9.0 if lost else time_s + seed % 3
             record = flown(not lost, flight_time_s=flight_time_s, digest=f"{flight_time_s}")
             index = first_seed + seed + 40 * number
-            own.append(injected(first_seed + seed, record, fault, index=index, arm=setting_arm))
-    return runs(*own, **about)
+            entries.append(injected(first_seed + seed, record, fault, index=index, arm=setting_arm))
+    return runs(*entries, **about)
 
 
 def test_shared_runs_are_pairs_and_the_faults_of_a_mission_one_cluster():

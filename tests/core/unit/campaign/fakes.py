@@ -121,7 +121,7 @@ class FakeFlights:
 
     def injected(self, runs: list[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
         order = list(enumerate(runs))
-        for place, (arm, fault) in order[::-1] if self.fast_forward else order:
+        for index, (arm, fault) in order[::-1] if self.fast_forward else order:
             setup = self.arms[arm]
             if TROUBLE.dies_at in fault.site:
                 _die(TROUBLE.dies, setup.scenario.seed)
@@ -129,15 +129,15 @@ class FakeFlights:
             try:
                 _fail()
             except (OSError, MemoryError) as error:
-                yield place, error
+                yield index, error
                 continue
             if TROUBLE.raises and setup.scenario.seed == BROKEN:
                 try:
                     raise ZeroDivisionError("a mistake of ours")
                 except ZeroDivisionError as error:
-                    yield place, error
+                    yield index, error
             else:
-                yield place, fly(setup, self.detector(arm), fault)
+                yield index, fly(setup, self.detector(arm), fault)
 
 
 class ProgramRuns(FakeFlights):

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from mavfi.campaign import compiling
 from mavfi.campaign.compiling import STAGES
-from mavfi.flight import compiling
 from mavfi.flight.compose import new_loop, resolve
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN

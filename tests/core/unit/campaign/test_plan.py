@@ -57,12 +57,12 @@ def mission_runs(plan, environment, seed, golden):
     places = list(plan.positioned_draws(environment, seed))
     draws = [draw for _, draw in places if draw.target != NULL]
     drawn = iter(plan.campaign.sampler.draw(draws, environment, golden))
-    found = []
-    for place, draw in places:
+    planned_runs = []
+    for position, draw in places:
         null = draw.target == NULL
         fault = plan.campaign.sampler.null(draw.index, draw.seed, environment, golden) if null else next(drawn)
-        found += plan.injected(environment, draw, place, fault)
-    return found
+        planned_runs += plan.injected(environment, draw, position, fault)
+    return planned_runs
 
 
 campaigns = st.builds(
@@ -110,9 +110,9 @@ def test_every_arm_flies_every_fault_in_the_same_world(campaign):
         if run.kind == "injected":
             pairs.setdefault((run.world, run.target, run.index), {})[run.arm] = run.fault
     assert len(pairs) == 3 * campaign.faults * len(campaign.environments)
-    for own in pairs.values():
-        assert set(own) == {"", *campaign.arms}
-        assert len(set(own.values())) == 1
+    for faults_of_pair in pairs.values():
+        assert set(faults_of_pair) == {"", *campaign.arms}
+        assert len(set(faults_of_pair.values())) == 1
 
 
 @given(campaigns)
@@ -127,10 +127,12 @@ def test_draws_do_not_depend_on_arms_and_null_runs(campaign):
 
 def test_faults_are_spread_over_the_missions_and_differ_within_one():
     _, injected = planned(small())
-    own = [run for run in injected if (run.setting, run.environment, run.target) == ("fi", "sparse", "planning")]
-    own.sort(key=lambda run: run.index)
-    assert [run.seed for run in own] == [10_000, 10_001, 10_002, 10_003, 10_000, 10_001]
-    assert own[0].fault != own[4].fault
+    spread_runs = [
+        run for run in injected if (run.setting, run.environment, run.target) == ("fi", "sparse", "planning")
+    ]
+    spread_runs.sort(key=lambda run: run.index)
+    assert [run.seed for run in spread_runs] == [10_000, 10_001, 10_002, 10_003, 10_000, 10_001]
+    assert spread_runs[0].fault != spread_runs[4].fault
 
 
 def test_environments_that_share_seeds_do_not_share_faults():
@@ -212,9 +214,13 @@ def test_shards_share_the_runs(missions, faults, nulls, shards):
     plan = plan_for(campaign)
     worlds = [(environment, seed) for environment in campaign.environments for seed in campaign.seeds]
     for number in range(1, shards + 1):
-        shard, own = Shard(number, shards), worlds[number - 1 :: shards]
-        assert list(shard.worlds(campaign)) == own and shard.missions(campaign) == len(own)
-        runs = [run for world in own for run in [*plan.golden(*world), *mission_runs(plan, *world, golden_of(1))]]
+        shard, worlds_of_shard = Shard(number, shards), worlds[number - 1 :: shards]
+        assert list(shard.worlds(campaign)) == worlds_of_shard and shard.missions(campaign) == len(worlds_of_shard)
+        runs = [
+            run
+            for world in worlds_of_shard
+            for run in [*plan.golden(*world), *mission_runs(plan, *world, golden_of(1))]
+        ]
         assert plan.count(shard) == len(runs)
     assert sum(plan.count(Shard(number, shards)) for number in range(1, shards + 1)) == plan.count()
 

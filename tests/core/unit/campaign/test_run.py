@@ -217,7 +217,7 @@ def test_another_python_resumes_faults_in_states_but_not_in_instructions(tmp_pat
         with pytest.raises(KeyboardInterrupt):
             flown_into(tmp_path / name, campaign, progress=stop_at(3))
     later = SimpleNamespace(python_version_tuple=lambda: ("3", "99", "0"))
-    monkeypatch.setattr("mavfi.levels.instruction.platform", later)
+    monkeypatch.setattr("mavfi.levels.instruction.sampling.platform", later)
     resolve_module._NAMES.clear()
     assert flown_into(tmp_path / "state").complete
     with pytest.raises(BadInputError, match=r"was begun with python 3\.\d+, here is 3.99; runs cannot be mixed"):

@@ -51,11 +51,11 @@ def test_the_smallest_fault_loses_the_mission_and_no_smaller_one_does(directory,
 
 
 def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory, lost):
-    found = shrink(directory, lost[0])
-    text = text_of(found.smallest.fault)
-    printed = command(found)
+    smallest = shrink(directory, lost[0])
+    text = text_of(smallest.smallest.fault)
+    printed = command(smallest)
     assert printed.startswith("mavfi fly --environment dense --seed") and text in printed
-    assert parse(text).resolve(0, "published").bit == found.smallest.fault.bit
+    assert parse(text).resolve(0, "published").bit == smallest.smallest.fault.bit
     assert run(["shrink", str(directory), lost[0]]) == 0
     out = capsys.readouterr().out
     assert out.startswith("smallest") and out.splitlines()[-1].split(maxsplit=3)[3] == printed

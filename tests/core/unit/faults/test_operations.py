@@ -3,7 +3,6 @@
 import math
 import pickle
 import warnings
-from copy import copy
 from itertools import product
 
 import numpy as np
@@ -55,17 +54,6 @@ def test_a_schedule_selects_what_its_definition_says(seed):
     for first, (start, end), condition, times, every, share in grid:
         when = When(first, start, end, False, condition, times, every, share)
         assert due(when, seed) == expected(when, seed), when
-
-
-def test_a_copy_of_a_schedule_goes_on_as_the_original():
-    when = When(2, 0.5, 3.0, times=4, every=2)
-    for split in range(len(TIMES)):
-        schedule = MessageSchedule(when)
-        before = [schedule.due(time, lambda _: 0.0) for time in TIMES[:split]]
-        branch = copy(schedule)
-        for other in (branch, schedule):
-            assert before + [other.due(time, lambda _: 0.0) for time in TIMES[split:]] == due(when)
-            assert other.is_over
 
 
 def test_a_schedule_is_over_when_nothing_can_follow():

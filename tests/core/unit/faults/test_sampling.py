@@ -38,10 +38,10 @@ def test_the_same_address_gives_the_same_fault_and_another_address_another():
     target = stage_target("planning", "published")
     some = profile(planning__waypoint=0, planning__path=4, planning__trajectory=9)
     faults = {
-        (seed, index, place): draw(target, "mantissa", some, seed, place, index)
+        (seed, index, environment): draw(target, "mantissa", some, seed, environment, index)
         for seed in range(5)
         for index in range(5)
-        for place in ("sparse", "dense")
+        for environment in ("sparse", "dense")
     }
     again = draw(target, "mantissa", some, 3, "dense", 2)
     assert again == faults[3, 2, "dense"]

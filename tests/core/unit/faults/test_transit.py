@@ -59,9 +59,9 @@ def decoded(spec, data):
     text = message_text(spec)
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg(text, "mavfi_msgs/msg/Own"))
-    own = store.get_msgdef("mavfi_msgs/msg/Own")
+    definition = store.get_msgdef("mavfi_msgs/msg/Own")
     try:  # not `store.deserialize_ros1`, which also refuses bytes that are left over; subscribers do not
-        return own.deserialize_ros1(memoryview(bytes(data)), 0, own.cls, store)[0]
+        return definition.deserialize_ros1(memoryview(bytes(data)), 0, definition.cls, store)[0]
     except (SerdeError, struct.error, ValueError):
         return None
 
@@ -93,20 +93,20 @@ def test_a_message_has_the_bytes_that_ros_gives_it(name):
 @given(st.sampled_from(LISTS), st.integers(0, 5), st.data())
 def test_a_wrong_length_is_read_as_ros_reads_it(name, count, data):
     spec, state = STATES[name], random_state(name, count)
-    field = data.draw(st.sampled_from([one.name for one in spec.lengths]))
+    field = data.draw(st.sampled_from([length.name for length in spec.lengths]))
     bit = data.draw(st.integers(0, 31))
     carrier = ListLength(state, field)
     before, after = ValueChange(Operation("flip", bit=bit)).apply(carrier)
-    found = carrier.state
+    received = carrier.state
     assert (before, after) == (count, count ^ 1 << bit)
     raw, start = serialize(state), spec.header_dtype.itemsize
-    for own in spec.elements:
-        if f"length_{own.name}" == field:
+    for element_field in spec.elements:
+        if f"length_{element_field.name}" == field:
             raw[start : start + 4] = after.to_bytes(4, "little")
-        start += 4 + count * np.dtype(own.dtype).itemsize
+        start += 4 + count * np.dtype(element_field.dtype).itemsize
     message = decoded(spec, raw)
-    assert (found is None) == (message is None)
-    assert found is None or same(spec, found, message)
+    assert (received is None) == (message is None)
+    assert received is None or same(spec, received, message)
 
 
 @given(st.sampled_from(list(STATES)), st.integers(0, 4), st.sampled_from(STRATA))

@@ -33,10 +33,10 @@ def campaign(share="stage", kernels=(*PERCEPTION, "pid"), **changes):
 @pytest.fixture(autouse=True)
 def requests(monkeypatch):
     """What was asked to be drawn; the faults are numbered, and those of `octomap` beyond the first have no site."""
-    asked = []
+    asked_for = []
 
     def draw(scenario, request, *address, seed, detector=None, recovery=None, flights=None, arm=""):
-        asked.append((scenario.environment.name, seed, scenario.planner.name, address, request))
+        asked_for.append((scenario.environment.name, seed, scenario.planner.name, address, request))
         faults = {
             kernel: [
                 InstructionFault(
@@ -56,7 +56,7 @@ def requests(monkeypatch):
         return DrawnFaults(golden, {kernel: {"instructions": 7, "calls": 1, "lines": []} for kernel in faults}, faults)
 
     monkeypatch.setattr(instruction_sampling, "draw_instruction_faults", draw)
-    return asked
+    return asked_for
 
 
 def flown(c):
@@ -89,7 +89,10 @@ def test_every_place_is_taken_and_every_arm_flies_every_fault(share):
     faults = {}
     for run in runs:
         faults.setdefault((run.environment, run.target, run.index, run.seed), {})[run.setting] = run.fault
-    assert all(own.keys() == {"fi", "dr_gaussian"} and own["fi"] == own["dr_gaussian"] for own in faults.values())
+    assert all(
+        faults_of_arm.keys() == {"fi", "dr_gaussian"} and faults_of_arm["fi"] == faults_of_arm["dr_gaussian"]
+        for faults_of_arm in faults.values()
+    )
     assert all(seed == c.first_seed + index % c.missions for _, _, index, seed in faults)
     assert all(target == fault["fi"].kernel for (_, target, _, _), fault in faults.items())
     assert len({run.fault for run in runs}) == len(runs) / 2, "no fault is injected twice"
@@ -102,7 +105,7 @@ def test_kernels_of_a_stage_share_its_faults_equally_and_are_not_tied_to_mission
         assert Counter(draw.target for draw in order) == {**dict.fromkeys(PERCEPTION, 3), "pid": 9}
         assert [draw.index for draw in order] == [*range(9), *range(9)]
     missions = {name: {draw.seed for draw in draws["sparse"] if draw.target == name} for name in PERCEPTION}
-    assert any(len(own) > 1 for own in missions.values())
+    assert any(len(faults_of_arm) > 1 for faults_of_arm in missions.values())
     assert draws["sparse"] != draws["dense"]
 
 
@@ -174,9 +177,9 @@ def test_draws_begin_at_the_given_calls_and_are_else_those_of_stored_campaigns()
         target = InjectionTarget("pid", {}, "pid")
         return drawing._KernelDraw(target, 200, request, {"track": counter}, {"track": first}, 3, ()).positions()
 
-    assert [(place.call, place.index) for place in positions(0)[:4]] == [(3, 34), (1, 86), (3, 5), (1, 8)]
+    assert [(position.call, position.index) for position in positions(0)[:4]] == [(3, 34), (1, 86), (3, 5), (1, 8)]
     later = positions(2)
-    assert {place.call for place in later} == {2, 3}
-    assert abs(sum(place.call == 3 for place in later) - 200 * 50 / 57) < 25
-    assert all(place.index < counter.counts[place.call] for place in later)
+    assert {position.call for position in later} == {2, 3}
+    assert abs(sum(position.call == 3 for position in later) - 200 * 50 / 57) < 25
+    assert all(position.index < counter.counts[position.call] for position in later)
     assert positions(4) == []

@@ -47,10 +47,10 @@ def listed(stratum=""):
 def test_every_bit_of_every_instant_is_alike(stratum):
     count, every = 20_000, listed(stratum)
     faults = drawn(count, stratum=stratum)
-    found = Counter((f.kernel, f.field, f.index, f.time_us, f.bit) for f in faults)
-    assert set(found) <= set(every)
+    counts = Counter((f.kernel, f.field, f.index, f.time_us, f.bit) for f in faults)
+    assert set(counts) <= set(every)
     expected = count / len(every)
-    spread = sum((found[one] - expected) ** 2 / expected for one in every)  # chi square with len - 1 degrees
+    spread = sum((counts[word] - expected) ** 2 / expected for word in every)  # chi square with len - 1 degrees
     assert abs(spread - (len(every) - 1)) < 5 * np.sqrt(2 * (len(every) - 1))
     assert {f.weight for f in faults} == {len(every) / len(listed()) if stratum else 1.0}
 
@@ -81,7 +81,7 @@ def campaign(**sampling):
 def test_targets_are_all_bits_kernels_or_groups(sampling, targets):
     blocks = MemorySampler(campaign(**sampling)).blocks("sparse")
     assert [block.draw(0).target for block in blocks] == targets
-    assert [block.first for block in blocks] == [4 * place for place in range(len(targets))]
+    assert [block.first for block in blocks] == [4 * block_number for block_number in range(len(targets))]
     assert [blocks[0].draw(index).seed - 10_000 for index in range(4)] == [0, 1, 0, 1]
 
 

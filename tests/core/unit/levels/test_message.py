@@ -26,11 +26,11 @@ def campaign(**sampling):
 
 def drawn(of, profile=PROFILE):
     sampler = resolve(of).sampler
-    found = []
+    drawn_faults = []
     for block in sampler.blocks("sparse"):
         draws = [block.draw(index) for index in range(block.count)]
-        found.append(sampler.draw(draws, "sparse", {"": Sampled(Flight(None, profile))}))
-    return found
+        drawn_faults.append(sampler.draw(draws, "sparse", {"": Sampled(Flight(None, profile))}))
+    return drawn_faults
 
 
 def test_publications_and_operations_are_uniform():
@@ -44,12 +44,12 @@ def test_publications_and_operations_are_uniform():
 
 
 def test_each_state_of_the_pipeline_has_its_faults_by_default_or_none_without_a_publication():
-    found = drawn(campaign())
+    drawn_faults = drawn(campaign())
     states = [spec.name for spec in STATES.values() if spec.stage in PPC_STAGES and not spec.only_with]
-    assert [faults[0].topic for faults in found] == states
-    for state, faults in zip(states, found, strict=True):
+    assert [faults[0].topic for faults in drawn_faults] == states
+    for state, faults in zip(states, drawn_faults, strict=True):
         assert {fault.has_site for fault in faults} == {state == PATH}
-    assert {fault.time_us for fault in found[0]} == {NO_SITE}
+    assert {fault.time_us for fault in drawn_faults[0]} == {NO_SITE}
 
 
 def test_null_runs_have_an_empty_mask():

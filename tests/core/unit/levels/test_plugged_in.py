@@ -62,7 +62,7 @@ class OffsetSampler(Sampler):
         self.targets = {"way-point": {"": 1.0}}
 
     def draw(self, draws, environment, golden):
-        return [OffsetFault(self.sampling.metres, 1_000_000 * one.index, seed=one.seed) for one in draws]
+        return [OffsetFault(self.sampling.metres, 1_000_000 * planned.index, seed=planned.seed) for planned in draws]
 
     def null(self, index, seed, environment, golden):
         return OffsetFault(0.0, seed=seed)

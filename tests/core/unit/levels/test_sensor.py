@@ -17,8 +17,8 @@ GOLDEN = {"": Sampled(RunResult(FlightRecord(End.FLOWN, flight_time_s=30.0)))}
 
 
 def campaign(mission=None, **sampling):
-    own = {"name": "c", "environments": ["sparse"], "missions": 4, "faults": 160, "mission": mission or {}}
-    return parse(Campaign, {**own, "sampling": {"level": "sensor", **sampling}}, "campaign.yaml")
+    data = {"name": "c", "environments": ["sparse"], "missions": 4, "faults": 160, "mission": mission or {}}
+    return parse(Campaign, {**data, "sampling": {"level": "sensor", **sampling}}, "campaign.yaml")
 
 
 def faults(of, golden=GOLDEN):
@@ -27,12 +27,12 @@ def faults(of, golden=GOLDEN):
 
 
 def test_types_have_equal_shares_and_instants_and_motors_are_uniform():
-    found = [fault for fault in faults(campaign()) if fault.unit == "motor"]
-    assert Counter(fault.kind for fault in found) == dict.fromkeys(FAILING, 20)
-    assert set(Counter(fault.instance for fault in found)) == {1, 2, 3, 4}
-    times = [fault.time_us for fault in found]
+    motor_faults = [fault for fault in faults(campaign()) if fault.unit == "motor"]
+    assert Counter(fault.kind for fault in motor_faults) == dict.fromkeys(FAILING, 20)
+    assert set(Counter(fault.instance for fault in motor_faults)) == {1, 2, 3, 4}
+    times = [fault.time_us for fault in motor_faults]
     assert 0 <= min(times) < 3_000_000 and 27_000_000 < max(times) < 30_000_000 and len(set(times)) > 150
-    assert {fault.lasts_s for fault in found} == {float("inf")}
+    assert {fault.lasts_s for fault in motor_faults} == {float("inf")}
 
 
 def test_by_default_the_units_that_the_mission_reads():

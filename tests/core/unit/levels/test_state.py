@@ -20,27 +20,29 @@ PROFILE = Profile({name: np.arange(50) for name in STATES}, {name: np.zeros(50, 
 
 def faults(*lifetimes, **campaign):
     groups = [
-        {"name": str(place), "sites": SITES, **({} if lifetime is None else {"lifetime": lifetime})}
-        for place, lifetime in enumerate(lifetimes)
+        {"name": str(site_of), "sites": SITES, **({} if lifetime is None else {"lifetime": lifetime})}
+        for site_of, lifetime in enumerate(lifetimes)
     ]
     sampling = {"scheme": "groups", "groups": groups, "strata": {"sign_exponent": 1}, **campaign}
     sampler = StateSampler(
         Campaign(name="c", environments=("sparse",), missions=1, faults=40, sampling={"level": "state", **sampling})
     )
-    found = []
+    drawn_faults = []
     for block in sampler.blocks("sparse"):
         draws = [block.draw(index) for index in range(block.count)]
-        found.append(sampler.draw(draws, "sparse", {"": Sampled(Flight(None, PROFILE))}))
-    return found
+        drawn_faults.append(sampler.draw(draws, "sparse", {"": Sampled(Flight(None, PROFILE))}))
+    return drawn_faults
 
 
-def place(fault):
+def site_of(fault):
     return fault.where, fault.time_us, fault.stratum, fault.seed
 
 
 def test_the_same_draws_with_each_lifetime():
     once, stuck, other = faults({}, {"lasts_s": "inf", "share": 0.5}, None)
-    assert [place(fault) for fault in once] == [place(fault) for fault in stuck] != [place(fault) for fault in other]
+    assert (
+        [site_of(fault) for fault in once] == [site_of(fault) for fault in stuck] != [site_of(fault) for fault in other]
+    )
     assert {(fault.lasts_s, fault.share) for fault in stuck} == {(float("inf"), 0.5)}
     assert not any(fault.lasting for fault in once + other)
 
@@ -61,15 +63,15 @@ def test_every_message_has_its_own_row_and_the_strata_that_it_has():
     sampler = StateSampler(messages(names, strata={"sign_exponent": 1, "length": 1}))
     profile = Profile({name: np.arange(50) for name in names}, {name: np.full(50, 4, np.int32) for name in names})
     for name, block in zip(names, sampler.blocks("sparse"), strict=True):
-        found = sampler.draw([block.draw(i) for i in range(30)], "sparse", {"": Sampled(Flight(None, profile))})
-        strata = [fault.stratum for fault in found]
-        assert {fault.where.state for fault in found} == {name}
+        drawn_faults = sampler.draw([block.draw(i) for i in range(30)], "sparse", {"": Sampled(Flight(None, profile))})
+        strata = [fault.stratum for fault in drawn_faults]
+        assert {fault.where.state for fault in drawn_faults} == {name}
         assert strata.count("length") == (15 if name == "planning.path" else 0)
-        assert len(set(map(place, found))) > 25
+        assert len(set(map(site_of, drawn_faults))) > 25
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({"names": ()}, "is required with scheme 'messages'"),
         ({"names": ("sensor.imu",)}, "sensor.imu: only flights with localization estimator"),
@@ -80,9 +82,9 @@ def test_every_message_has_its_own_row_and_the_strata_that_it_has():
         ),
     ],
 )
-def test_messages_that_cannot_be_drawn_are_refused(given, message):
+def test_messages_that_cannot_be_drawn_are_refused(arguments, message):
     with pytest.raises((BadInputError, ValueError), match=message):
-        messages(**given)
+        messages(**arguments)
 
 
 def test_the_published_instants_are_those_of_the_pipeline_and_stored_only_if_set():
@@ -160,8 +162,8 @@ def test_operations_do_not_change_where_and_when_floats_are_hit():
         )
         sampler = StateSampler(campaign)
         draws = [sampler.blocks("sparse")[0].draw(index) for index in range(40)]
-        found = sampler.draw(draws, "sparse", {"": Sampled(Flight(None, PROFILE))})
-        places.append([(fault.where, fault.time_us, fault.seed) for fault in found])
+        drawn_faults = sampler.draw(draws, "sparse", {"": Sampled(Flight(None, PROFILE))})
+        places.append([(fault.where, fault.time_us, fault.seed) for fault in drawn_faults])
     assert places[0] == places[1] == places[2]
     assert "operations" not in Campaign(name="c", environments=("sparse",), sampling=sampling).sampling.to_json()
 

@@ -14,7 +14,7 @@ from mavfi.states import new_state
 
 
 def test_names_that_differ_only_in_indices_are_told_as_one():
-    names = ["odometry", *(f"crumbs[{place}].x" for place in range(60)), "paths[0].x[1]", "last[2]"]
+    names = ["odometry", *(f"crumbs[{index}].x" for index in range(60)), "paths[0].x[1]", "last[2]"]
     assert collapsed(names) == ["odometry", "crumbs[...].x", "paths[0].x[1]", "last[2]"]
 
 
@@ -75,18 +75,18 @@ def test_every_number_is_found_once_and_nothing_else():
     assert {"crumbs[0]", "crumbs[1]", "table[0].x", "table[0].trajectory_seq", "state.index"} <= set(names)
     assert not [name for name in names if name.startswith(("marked", "text", "table[1]"))]
     assert FOUND["array"] == Words("array", "f8", 6) and FOUND["table[0].x"] == Words("table[0].x", "f8", 2)
-    assert [FOUND[f"clock[{place}]"].dtype for place in range(3)] == ["f8", "i4", "?"]
+    assert [FOUND[f"clock[{index}]"].dtype for index in range(3)] == ["f8", "i4", "?"]
     assert FOUND["cells"] == Words("cells", "u1", 5)
 
 
 @given(st.sampled_from(PLACES), st.data())
-def test_a_change_reaches_one_word_and_the_same_change_takes_it_back(place, data):
-    words, index = place
+def test_a_change_reaches_one_word_and_the_same_change_takes_it_back(word_index, data):
+    words, index = word_index
     bit = data.draw(st.integers(0, 0 if words.dtype == "?" else 8 * np.dtype(words.dtype).itemsize - 1))
     kernel, twin = Kernel(), Kernel()
     before, after = change(kernel, words.name, index, flipping(bit))
     values, golden = contents(kernel), contents(twin)
-    assert [place for place in values if values[place] != golden[place]] == [(words.name, index)]
+    assert [word_index for word_index in values if values[word_index] != golden[word_index]] == [(words.name, index)]
     again = change(kernel, words.name, index, flipping(bit))
     assert bits(again[0]) == bits(after) and bits(again[1]) == bits(before) and contents(kernel) == golden
     assert kernel.memory.same(twin.memory)

@@ -46,7 +46,7 @@ def alarm(time_s, state="planning.waypoint", **changes):
     return AlarmRecord(**({"time_s": time_s, "state": state} | values | changes))
 
 
-def found(injected, golden=None, fault=FAULT, first=None, **changes):
+def explained(injected, golden=None, fault=FAULT, first=None, **changes):
     spec = RunSpec("injected", "fi", "sparse", 3, "key", target="planning", fault=fault, **changes)
     flights = (Flight(one) for one in (injected, golden or log()))
     return Explanation(spec, *flights, same=True, first=first, departure=ON_PATH)
@@ -70,18 +70,18 @@ def story_of(explanation):
     ],
 )
 def test_the_verdict_comes_first_with_effect_and_end_of_the_mission(injected, golden, parts):
-    heading, sentence = lines(found(injected, golden))[0]
+    heading, sentence = lines(explained(injected, golden))[0]
     assert heading == "verdict" and all(part in sentence for part in parts)
 
 
 def test_a_fault_says_what_it_changed_or_why_it_did_not():
     assert (
-        story_of(found(log(injections=[INJECTION])))["fault"]
+        story_of(explained(log(injections=[INJECTION])))["fault"]
         == "planning.waypoint.x, bit 62 (exponent), at 1.000 s: 3.5 → inf"
     )
-    assert "not activated" in story_of(found(log(injections=[MISSED])))["fault"]
+    assert "not activated" in story_of(explained(log(injections=[MISSED])))["fault"]
     nowhere = StateFault(SITE, NO_SITE, 62)
-    assert "no site" in story_of(found(log(injections=[MISSED]), fault=nowhere))["fault"]
+    assert "no site" in story_of(explained(log(injections=[MISSED]), fault=nowhere))["fault"]
 
 
 def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kernel():
@@ -90,14 +90,14 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     )
     first = {"state": "control.command", "field": "vx", "element": None, "before": 1.0, "after": 8.0}
     fault = InstructionFault("module:track", "0", 42, 7, kernel="pid", entry="track", stratum="exponent")
-    story = story_of(found(log(injections=[injection], kernel=KernelEffect("sdc", "", first)), fault=fault))
+    story = story_of(explained(log(injections=[injection], kernel=KernelEffect("sdc", "", first)), fault=fault))
     for part in ("pid.py:90", "pid.py:12", "fmul double of rate", "call 7", "instruction 42"):
         assert part in story["source line"]
     assert "control.command.vx" in story["kernel"] and "first difference" not in story
     crashed = log(injections=[injection], kernel=KernelEffect("crash", "SIGSEGV"))
     for policy, what in (("fresh", "restarted"), ("readback", "(readback)"), ("end", "the mission ended")):
         crashed.meta["scenario"] = {"dead_node": policy}
-        story = story_of(found(crashed, fault=fault))
+        story = story_of(explained(crashed, fault=fault))
         assert story["verdict"].startswith("crash (SIGSEGV)") and what in story["kernel"]
 
 
@@ -116,7 +116,7 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     ],
 )
 def test_the_first_difference_is_a_value_or_an_instant(first, parts):
-    sentence = story_of(found(log(injections=[INJECTION]), first=first))["first difference"]
+    sentence = story_of(explained(log(injections=[INJECTION]), first=first))["first difference"]
     assert all(part in sentence for part in parts)
 
 

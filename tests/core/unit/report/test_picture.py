@@ -16,7 +16,7 @@ def flights():
     return fly(scenario), fly(scenario, StateFault(FaultSite("planning.waypoint", "y"), 10_000_000, 60))
 
 
-def words(path):
+def texts_of(path):
     """Text of an SVG file whose letters are drawn as shapes: matplotlib names each string in a comment."""
     return path.read_text(encoding="utf-8")
 
@@ -25,8 +25,8 @@ def test_a_flight_with_a_fault_shows_more(flights, tmp_path):
     golden, injected = flights
     assert injected.log.injections[0].activated
     assert draw_flight(tmp_path / "golden.png", golden).read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    alone = words(draw_flight(tmp_path / "alone.svg", golden))
-    both = words(draw_flight(tmp_path / "both.svg", injected, golden, golden, detector="gaussian"))
+    alone = texts_of(draw_flight(tmp_path / "alone.svg", golden))
+    both = texts_of(draw_flight(tmp_path / "both.svg", injected, golden, golden, detector="gaussian"))
     assert "#d55e00" in both.lower()
     assert "#d55e00" not in alone.lower()
     for label in ("golden run", "with the fault", "with the fault and detector gaussian", "fault"):
@@ -40,12 +40,12 @@ def test_a_watched_flight_is_labelled_and_its_alarms_are_marked(flights, tmp_pat
     at = injected.log.injections[0].time_s
     injected.log.alarms = [AlarmRecord(time_s, "x", "planning.waypoint", "planning") for time_s in (1.0, at)]
     try:
-        text = words(draw_flight(tmp_path / "watched.svg", injected, golden, detector="my.module:Mine"))
+        text = texts_of(draw_flight(tmp_path / "watched.svg", injected, golden, detector="my.module:Mine"))
         for label in ("with the fault and detector my.module:Mine", "alarm at the fault", "other alarm"):
             assert f"<!-- {label} -->" in text
     finally:
         injected.log.alarms = []
-    text = words(draw_flight(tmp_path / "golden.svg", golden, detector="gaussian (paper)"))
+    text = texts_of(draw_flight(tmp_path / "golden.svg", golden, detector="gaussian (paper)"))
     assert "<!-- detector gaussian (paper) -->" in text and "fault" not in text
 
 

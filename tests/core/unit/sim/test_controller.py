@@ -70,22 +70,22 @@ def test_the_same_controller_flies_the_same_bits_behind_the_interface():
     """The compiled loop and the interface are two ways through the same arithmetic, expiry of a command included."""
     called, compiled = flight("Called"), Simulator(open_world(), scenario())
     for tick, command in enumerate([(2.0, 1.0, 0.5, 0.3), (0.0, -2.0, 0.0, -1.0), (3.0, 0.0, -0.5, 0.0)] * 5):
-        for one in (called, compiled):
-            one.command(np.array(command), 0.09)
-            one.advance((tick + 1) * 100_000)
+        for flown_by in (called, compiled):
+            flown_by.command(np.array(command), 0.09)
+            flown_by.advance((tick + 1) * 100_000)
         assert called.odometry.tobytes() == compiled.odometry.tobytes()
     assert np.linalg.norm(called.odometry[3:6]) > 1.0
     assert called.snapshot()._content() == compiled.snapshot()._content()
 
 
 def test_a_controller_is_called_once_per_period_with_the_state_and_the_command_in_force():
-    one = flight("Fast")
-    one.command(np.array([1.0, 2.0, 3.0, 0.5]), 0.002)
-    one.advance(8_000)
-    times, setpoints, states, forces = zip(*one.controller.calls, strict=True)
+    flown_by = flight("Fast")
+    flown_by.command(np.array([1.0, 2.0, 3.0, 0.5]), 0.002)
+    flown_by.advance(8_000)
+    times, setpoints, states, forces = zip(*flown_by.controller.calls, strict=True)
     assert times == tuple(range(0, 8_000, 1_000))
     assert [bool(point.any()) for point in setpoints] == [True] * 2 + [False] * 6
-    assert states[0].tobytes() == one.controller.start.odometry.tobytes() != states[-1].tobytes()
+    assert states[0].tobytes() == flown_by.controller.start.odometry.tobytes() != states[-1].tobytes()
     assert forces[-1][2] > GRAVITY  # it climbs
 
 

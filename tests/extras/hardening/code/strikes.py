@@ -51,22 +51,22 @@ def strike_all(struck, args, step=1):
     """Outcomes of all faults, or of every `step`-th: number by outcome, and the sites of silent corruptions."""
     sites = sites_of(struck, args)
     todo = [(index, bit) for index, site in enumerate(sites) for bit in range(site.width)][::step]
-    own = copied(args)
-    golden = digest((struck.count(*own)[0], own))
+    arguments = copied(args)
+    golden = digest((struck.count(*arguments)[0], arguments))
     budget = budget_for(len(sites))
-    found = mmap.mmap(-1, len(todo) + 1)
+    outcomes = mmap.mmap(-1, len(todo) + 1)
     hows = []
     while len(hows) < len(todo):
         first = len(hows)
 
         def work(first=first):
             for place, (index, bit) in enumerate(todo[first:], first):
-                found[place] = outcome(struck, index, bit, budget, args, golden)[0]
+                outcomes[place] = outcome(struck, index, bit, budget, args, golden)[0]
             return b""
 
         ended = run_in_child(work, 120.0)
-        while len(hows) < len(todo) and found[len(hows)]:
-            hows.append(OUTCOMES[bytes([found[len(hows)]])])
+        while len(hows) < len(todo) and outcomes[len(hows)]:
+            hows.append(OUTCOMES[bytes([outcomes[len(hows)]])])
         if len(hows) < len(todo):
             hows.append(ended.how)
     silent = Counter(str(sites[index]) for (index, _), how in zip(todo, hows, strict=True) if how == "sdc")
@@ -74,11 +74,11 @@ def strike_all(struck, args, step=1):
 
 
 def outcome(struck, index, bit, budget, args, golden):
-    own = copied(args)
+    arguments = copied(args)
     try:
-        result = struck.inject(index, -1, 1 << bit, budget, *own)
+        result = struck.inject(index, -1, 1 << bit, budget, *arguments)
     except SystemError:
         return b"D"
     except Exception:
         return b"E"
-    return b"M" if digest((result, own)) == golden else b"S"
+    return b"M" if digest((result, arguments)) == golden else b"S"

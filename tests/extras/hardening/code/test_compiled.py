@@ -81,8 +81,8 @@ def test_protected_code_does_as_the_plain_one(module):
     plain, protected = arguments(), arguments()
     code = compiled(apply_updates, apply_updates.signatures[-1], everything)
     assert code(*protected) == apply_updates(*plain) == 5
-    for one, other in zip(plain, protected, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for plain_result, other in zip(plain, protected, strict=True):
+        np.testing.assert_array_equal(plain_result, other)
     assert protected[3][46] != OCCUPIED and protected[3][0] == OCCUPIED
 
 

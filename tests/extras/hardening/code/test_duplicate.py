@@ -32,22 +32,22 @@ def struck(name, *, addresses):
 @pytest.mark.parametrize("name", ["mean_square", "walk"])
 def test_with_compared_addresses_every_fault_is_detected_or_harmless(name):
     """Every bit of every dynamic instruction."""
-    found, silent = strike_all(struck(name, addresses=True), CASES[name][1])
-    assert set(found) == {"detected", "masked"}, silent
-    assert found["detected"] > 7000
+    detected, silent = strike_all(struck(name, addresses=True), CASES[name][1])
+    assert set(detected) == {"detected", "masked"}, silent
+    assert detected["detected"] > 7000
 
 
 @pytest.mark.parametrize("name", ["mean_square", "walk"])
 def test_fully_duplicated_no_fault_is_silent(name):
-    found, silent = strike_all(struck(name, addresses=False), CASES[name][1], step=41)
-    assert found["sdc"] == found["hang"] == 0, silent
-    assert found["detected"] > 100 and found["crash"] > 0
+    detected, silent = strike_all(struck(name, addresses=False), CASES[name][1], step=41)
+    assert detected["sdc"] == detected["hang"] == 0, silent
+    assert detected["detected"] > 100 and detected["crash"] > 0
 
 
 def test_what_is_not_duplicated_can_be_silent():
     """Calls of libm."""
-    found, silent = strike_all(struck("blend", addresses=True), CASES["blend"][1], step=31)
-    assert found["sdc"] > 0
+    detected, silent = strike_all(struck("blend", addresses=True), CASES["blend"][1], step=31)
+    assert detected["sdc"] > 0
     assert all("call double" in site for site in silent)
 
 
@@ -55,8 +55,10 @@ def test_what_is_not_duplicated_can_be_silent():
 @pytest.mark.parametrize("addresses", [False, True])
 def test_without_a_fault_results_are_those_of_the_plain_kernel(name, addresses):
     kernel, args = CASES[name]
-    plain, own = copied(args), copied(args)
-    assert digest((struck(name, addresses=addresses).count(*own)[0], own)) == digest((kernel(*plain), plain))
+    plain, protected_arguments = copied(args), copied(args)
+    assert digest((struck(name, addresses=addresses).count(*protected_arguments)[0], protected_arguments)) == digest(
+        (kernel(*plain), plain)
+    )
 
 
 @pytest.mark.parametrize("name", ["walk", "blend"])
@@ -131,9 +133,9 @@ def test_floating_point_values_are_compared_as_bits():
     protected = protect(module("blend"), candidates(module("blend")), addresses=False)
     for function in protected.functions:
         for block in function.blocks:
-            for one in block.sites:
-                assert not (one.role == "check" and one.opcode == "fcmp")
-                assert not (one.role == "check" and is_floating(one.kind))
+            for site in block.sites:
+                assert not (site.role == "check" and site.opcode == "fcmp")
+                assert not (site.role == "check" and is_floating(site.kind))
     assert blend(np.array([np.nan, -0.0]), np.ones(2), np.zeros(2)) != 0
     args = (np.array([np.nan, -0.0]), np.ones(2), np.zeros(2))
     assert np.isnan(struck("blend", addresses=True).count(*args)[0])

@@ -46,8 +46,8 @@ def clocks(order, slower=1.01):
 
 def test_ratios_are_those_within_rounds_and_of_the_time_of_all_calls():
     order = []
-    found = compare(*clocks(order), [(1e7,), (3e7,)], lambda n: n >= 30)
-    assert found.ratios == pytest.approx({"a": 1.5, "b": (1e7 * 6.0 + 3e7 * 2.0) / 4e7}, rel=0.03)
+    compared = compare(*clocks(order), [(1e7,), (3e7,)], lambda n: n >= 30)
+    assert compared.ratios == pytest.approx({"a": 1.5, "b": (1e7 * 6.0 + 3e7 * 2.0) / 4e7}, rel=0.03)
     names = [name for name, _ in order]
     assert len(names) == 3 + 3 * 30
     assert {tuple(names[3 + 3 * i : 6 + 3 * i]) for i in range(30)} == {
@@ -55,7 +55,7 @@ def test_ratios_are_those_within_rounds_and_of_the_time_of_all_calls():
         ("a", "b", "plain"),
         ("b", "plain", "a"),
     }
-    assert found.ticks > 2e7 * 0.9
+    assert compared.ticks > 2e7 * 0.9
 
 
 def test_rounds_in_which_the_core_is_shared_do_not_count():
@@ -64,9 +64,9 @@ def test_rounds_in_which_the_core_is_shared_do_not_count():
     def clock(alone, shared):
         return lambda args, _: args[0] * (shared if next(made) % 90 < 60 else alone)  # two of three rounds
 
-    found = compare(clock(1.0, 1.1), {"a": clock(1.25, 1.6)}, [(1e7,)], lambda n: n >= 100)
-    assert found.ratios == pytest.approx({"a": 1.25})
-    assert found.ticks == pytest.approx(1e7)
+    compared = compare(clock(1.0, 1.1), {"a": clock(1.25, 1.6)}, [(1e7,)], lambda n: n >= 100)
+    assert compared.ratios == pytest.approx({"a": 1.25})
+    assert compared.ticks == pytest.approx(1e7)
 
 
 def test_arguments_of_recorded_calls_are_not_modified():

@@ -18,7 +18,7 @@ ctypes.CDLL(None).prctl(36, 1)
 shell = subprocess.Popen(["sh", "-c", "setsid sleep 600 & setsid sh -c 'trap \\"\\" TERM INT; sleep 601' & sleep 0.2"])
 shell.wait()
 time.sleep(0.2)
-print(*processes.children(os.getpid()), flush=True)
+print(*processes.children_by_parent()[os.getpid()], flush=True)
 processes.end_all()
 print(processes.reap(), flush=True)
 """

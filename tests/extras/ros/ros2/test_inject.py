@@ -124,6 +124,6 @@ def test_the_report_says_that_a_supervisor_brought_the_node_back(ros2, capfd):
         os.killpg(supervisor.pid, signal.SIGKILL)
         supervisor.wait()
     lines = capfd.readouterr().out.splitlines()
-    assert "position[0] (f8) 1.0 → nan (/limiter" in lines[0]
+    assert "position[0] (f8) 0.0 → nan (/limiter" in lines[0]
     assert re.search(r"s after the injection: process \d+ of /limiter has ended", lines[1])
     assert re.search(r"process \d+ \(.*limiter.py\) has taken its place", lines[2])

@@ -14,7 +14,7 @@ from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.graph import AgentClient
 from mavfi.extras.ros.ros2.interposer.attach import Attachments
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault
-from mavfi.faults.changes import MessageSchedule, When, parse_change
+from mavfi.faults.changes import Change, MessageSchedule, When, parse_change
 from mavfi.faults.operations import Operation, changed_number
 from tests.extras.ros.ros2.conftest import NODES, until
 from tests.extras.ros.ros2.messages import BASIC, Messages
@@ -118,8 +118,7 @@ def test_exactly_one_bit_of_one_message_differs(relay, page, side):
             InterposedFault(
                 prefix + name,
                 relay.messages.fields[name],
-                Operation("flip", bit=relay.messages.bits[name]),
-                When(first=2),
+                Change(Operation("flip", bit=relay.messages.bits[name]), When(first=2)),
                 side,
                 type=kind,
             )
@@ -150,7 +149,7 @@ def test_messages_are_chosen_as_by_the_schedule(relay, page):
     ]
     kind = relay.messages.kinds["LaserScan"]
     faults = [
-        InterposedFault("/out/LaserScan", f"ranges[{10 + i}]", Operation("set", -1.0), when, seed=i, type=kind)
+        InterposedFault("/out/LaserScan", f"ranges[{10 + i}]", Change(Operation("set", -1.0), when), seed=i, type=kind)
         for i, when in enumerate(whens)
     ]
     page.arm(faults)
@@ -186,7 +185,9 @@ VALUES = [
 @of_one_kind
 def test_numbers_change_as_in_flights(relay, page):
     kind = relay.messages.kinds["BasicTypes"]
-    page.arm([InterposedFault("/out/BasicTypes", field, change, When(), type=kind) for field, change in VALUES])
+    page.arm(
+        [InterposedFault("/out/BasicTypes", field, Change(operation, When()), type=kind) for field, operation in VALUES]
+    )
     (received,) = relay.relayed("BasicTypes", relay.messages.data["BasicTypes"], 1)
     page.reports()
     values = dataclasses.asdict(relay.messages.read("BasicTypes", received))
@@ -210,7 +211,7 @@ def test_numbers_change_as_in_flights(relay, page):
 def test_whole_messages_are_lost_repeated_and_late(relay, page, operation, expected):
     kind = relay.messages.kinds["Twist"]
     change = parse_change([operation], "n=3")
-    page.arm([InterposedFault("/out/Twist", "", change.operation, change.when, type=kind)])
+    page.arm([InterposedFault("/out/Twist", "", change, type=kind)])
     vector = relay.messages.store.types["geometry_msgs/msg/Vector3"]
     received = []
     for number in range(1, 6):
@@ -227,7 +228,7 @@ def test_what_cannot_be_changed_is_said(relay, page):
     faults = [("position[2]", "bit=1"), ("position[0]", "bit=64"), ("name[0]", "bit=1"), ("velocity.x", "bit=1")]
     planned = [(field, parse_change([change])) for field, change in faults]
     planned.append(("position[0]", parse_change(["bit=1"], "position[3]>0")))  # a condition that never holds
-    page.arm([InterposedFault("/out/JointState", field, *change, type=kind) for field, change in planned])
+    page.arm([InterposedFault("/out/JointState", field, change, type=kind) for field, change in planned])
     assert relay.relayed("JointState", relay.messages.data["JointState"], 1) == [relay.messages.data["JointState"]]
     reasons = [report.text for report in until(lambda: page.reports())]
     assert reasons == [
@@ -254,15 +255,19 @@ def test_calls_actions_and_six_faults_on_four_threads_are_changed_exactly(ros2, 
     count = 200
     flip = Operation("flip", bit=63)
     faults = [
-        InterposedFault("/add", "int32_value", Operation("bias", 100.0), When(first=2), "take_request"),
-        InterposedFault("/add", "int32_value", Operation("set", -1.0), When(first=3), "send_response"),
-        InterposedFault("/add", "", Operation("drop"), When(first=5), "send_request"),
-        InterposedFault("/count/_action/send_goal", "goal.order", Operation("set", 7.0), When(first=2), "take_request"),
-        InterposedFault("/count/_action/feedback", "feedback.sequence[0]", Operation("set", 50.0), When(first=3)),
+        InterposedFault("/add", "int32_value", Change(Operation("bias", 100.0), When(first=2)), "take_request"),
+        InterposedFault("/add", "int32_value", Change(Operation("set", -1.0), When(first=3)), "send_response"),
+        InterposedFault("/add", "", Change(Operation("drop"), When(first=5)), "send_request"),
         InterposedFault(
-            "/count/_action/get_result", "result.sequence[0]", Operation("set", 9.0), When(), "take_response"
+            "/count/_action/send_goal", "goal.order", Change(Operation("set", 7.0), When(first=2)), "take_request"
         ),
-        *(InterposedFault(f"/number{i}", "data", flip, When(first=2, times=0, every=i + 2)) for i in range(6)),
+        InterposedFault(
+            "/count/_action/feedback", "feedback.sequence[0]", Change(Operation("set", 50.0), When(first=3))
+        ),
+        InterposedFault(
+            "/count/_action/get_result", "result.sequence[0]", Change(Operation("set", 9.0), When()), "take_response"
+        ),
+        *(InterposedFault(f"/number{i}", "data", Change(flip, When(first=2, times=0, every=i + 2))) for i in range(6)),
     ]
     page.arm(faults)
     variables = {**page.environment(), "ROS_DOMAIN_ID": str(next(DOMAINS))}
@@ -286,9 +291,9 @@ def test_calls_actions_and_six_faults_on_four_threads_are_changed_exactly(ros2, 
 
 @pytest.mark.parametrize("relay", ["c++ preloaded --announce"], indirect=True, scope="module")
 def test_messages_handed_over_as_pointers_are_changed_once(relay, page):
-    page.arm([InterposedFault("/out/Twist", "linear.x", Operation("bias", 1.0), When(first=2, times=2))])
+    page.arm([InterposedFault("/out/Twist", "linear.x", Change(Operation("bias", 1.0), When(first=2, times=2)))])
     received = relay.relayed("Twist", relay.messages.data["Twist"], 4)
     assert [round(relay.messages.read("Twist", data).linear.x, 6) for data in received] == [0.1, 1.1, 1.1, 0.1]
-    page.arm([InterposedFault("/out/Twist", "", Operation("drop"), When())])
+    page.arm([InterposedFault("/out/Twist", "", Change(Operation("drop"), When()))])
     assert len(relay.relayed("Twist", relay.messages.data["Twist"], 1)) == 1
     assert "handed over as a pointer" in page.reports()[-1].text

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
-from pathlib import Path
 
 from mavfi.errors import MavfiError
 from mavfi.extras.registers import inject
 from mavfi.extras.registers.fault import RegisterFault
 from mavfi.extras.ros.lockstep.ports import SILENT
+from mavfi.extras.ros.processes import is_traced
 from mavfi.record import Event, Injection
 
 PLANNED = "killed as planned"
@@ -91,15 +91,6 @@ def _trace(pid: int, fault: RegisterFault, tracing: Future[list[Injection]]) -> 
         tracing.set_result(inject(pid, fault))
     except Exception as error:  # noqa: BLE001 - raised again where the result is read
         tracing.set_exception(error)
-
-
-def is_traced(pid: int) -> bool:
-    """Whether a tracer is attached to a process or one of its threads."""
-    try:
-        states = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/status")]
-    except OSError:
-        return False
-    return any("TracerPid:\t0\n" not in state for state in states)
 
 
 def end_of_nodes(injections: Sequence[Injection], events: Sequence[Event]) -> str | None:

@@ -6,10 +6,8 @@
     service:/add response sum bit=10
 
 The site, a part of a call (`request`, `response`) or the receiving side (`take`), a field, then operation and trigger
-in the words of `mavfi.faults.operations`.
+in the words of `mavfi.faults.changes`.
 """
-
-from typing import NamedTuple
 
 from mavfi.errors import BadInputError
 from mavfi.extras.ros.ros2.graph import absolute
@@ -19,26 +17,10 @@ from mavfi.faults.operations import OPERATIONS
 
 FORM = "topic:NAME [take] [FIELD] OPERATION [times=N] [every=N] [share=P] [@WHEN]"
 SERVICE_FORM = "service:NAME request|response [FIELD] OPERATION ..."
-_PARTS: dict[str, tuple[Side, Side]] = {
-    "request": ("take_request", "send_request"),
-    "response": ("send_response", "take_response"),
-}
-"""Parts of a call: where the server's process changes them, and where the client's does."""
-_OPTIONS = ("bit", "times", "every", "share", *OPERATIONS)
-
-
-class MessageSite(NamedTuple):
-    """Where a fault is.
-
-    Attributes:
-        name: Of the topic or service.
-        side: As in `SIDES`.
-        is_service: Whether it is a service.
-    """
-
-    name: str
-    side: Side
-    is_service: bool
+_SIDES_OF_TOPICS: dict[str, Side] = {"": "publish", "publish": "publish", "take": "take"}
+_SIDES_OF_SERVICES: dict[str, Side] = {"request": "take_request", "response": "send_response"}
+"""Where each part of a call is changed: in the server's process."""
+_OPTIONS = ("bit", "times", "every", "share", "lasts", *OPERATIONS)
 
 
 def parse_fault(text: str, seed: int = 0) -> InterposedFault:
@@ -53,31 +35,23 @@ def parse_fault(text: str, seed: int = 0) -> InterposedFault:
         raise BadInputError(f"fault {text!r}: {error}") from None
 
 
-def site_of(kind: str, name: str, part: str, *, of_client: bool = False) -> MessageSite:
-    """The site of a fault.
+def side_of(kind: str, part: str) -> Side:
+    """Where a message is changed.
 
     Args:
         kind: "topic" or "service".
-        name: Of the topic or service.
         part: "", "publish" or "take" of a topic; "request" or "response" of a service.
-        of_client: Whether a call is changed in the client's process, not in the server's.
 
     Raises:
         BadInputError: There is no such part.
     """
-    name = absolute(name)
-    if kind == "topic":
-        if part not in ("", "publish", "take"):
-            raise BadInputError(
-                f"side {part!r}: allowed: publish (in the process that sends), take (in one that receives)"
-            )
-        side: Side = "publish"
-        if part == "take":
-            side = "take"
-        return MessageSite(name, side, is_service=False)
-    if part not in _PARTS:
-        raise BadInputError(f"side {part!r} of a service: allowed: request, response")
-    return MessageSite(name, _PARTS[part][int(of_client)], is_service=True)
+    if kind == "service":
+        if part not in _SIDES_OF_SERVICES:
+            raise BadInputError(f"side {part!r} of a service: allowed: request, response")
+        return _SIDES_OF_SERVICES[part]
+    if part not in _SIDES_OF_TOPICS:
+        raise BadInputError(f"side {part!r}: allowed: publish (in the process that sends), take (in one that receives)")
+    return _SIDES_OF_TOPICS[part]
 
 
 def _parse(words: list[str], seed: int) -> InterposedFault:
@@ -87,9 +61,9 @@ def _parse(words: list[str], seed: int) -> InterposedFault:
         raise BadInputError(f"not understood; allowed: {FORM}, or {SERVICE_FORM}")
     words = words[1:]
     part = ""
-    if words and words[0] in ("publish", "take", *_PARTS):
+    if words and words[0] in (*_SIDES_OF_TOPICS, *_SIDES_OF_SERVICES):
         part = words.pop(0)
-    site = site_of(kind, name, part)
+    side = side_of(kind, part)
 
     # The trigger at the end, the field if the next word is no operation.
     instant = ""
@@ -98,7 +72,4 @@ def _parse(words: list[str], seed: int) -> InterposedFault:
     field = ""
     if words and words[0].partition("=")[0] not in _OPTIONS:
         field = words.pop(0)
-    change = parse_change(words, instant)
-    if change.lasts_s > 0.0:
-        raise BadInputError("lasts: allowed in flights; here: @START..END")
-    return InterposedFault(site.name, field, change.operation, change.when, site.side, seed)
+    return InterposedFault(absolute(name), field, parse_change(words, instant), side, seed)

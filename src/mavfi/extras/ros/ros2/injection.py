@@ -56,7 +56,7 @@ class GraphInjection:
             "topic": self.fault.topic,
             "side": self.fault.side,
             "field": self.fault.field,
-            "operation": str(self.fault.operation),
+            "operation": str(self.fault.change.operation),
             "message": self.report.message,
             "kind": self.report.dtype,
             "wall_s": self.report.wall_s,
@@ -104,7 +104,7 @@ class RunningGraphInjection:
         self._decoder: Decoder | None = None
         if fault.side in ("publish", "take"):
             self._decoder = Decoder(kind, self._types)
-            self._decoder.check(fault.field, fault.operation, fault.when)
+            self._decoder.check(fault.field, fault.change)
         self.processes = [target for target in targets if target.pid is not None]
         self.unreachable = [f"{target.node}: {target.problem}" for target in targets if target.pid is None]
         self._messages: list[RawMessage] = []
@@ -127,7 +127,7 @@ class RunningGraphInjection:
                 raise BadInputError(f"{self._fault.topic}: no process can be reached: {reasons}")
             self._stack = stack.pop_all()
         self._listen()
-        if self._fault.when.sim_time:
+        if self._fault.change.when.sim_time:
             self._follow_clock()
         self._page.arm([self._fault])
         self._armed_s = time.time()
@@ -140,7 +140,7 @@ class RunningGraphInjection:
     @property
     def is_over(self) -> bool:
         """Whether the fault changes no more messages."""
-        when = self._fault.when
+        when = self._fault.change.when
         if 0 < when.times <= self._page.messages_changed(0):
             return True
         if when.sim_time:

@@ -10,8 +10,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.errors import BadInputError, MavfiError, not_known
 from mavfi.extras.shared.message_definition import Definition
-from mavfi.faults.changes import When
-from mavfi.faults.operations import Operation, check_number_operation
+from mavfi.faults.changes import Change
+from mavfi.faults.operations import check_number_operation
 from mavfi.plugins import reason
 
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])*)(?:\.|$)")
@@ -101,15 +101,15 @@ class Decoder:
         self.kind = kind
         self._store = types.store
 
-    def check(self, field: str, operation: Operation, when: When) -> None:
+    def check(self, field: str, change: Change) -> None:
         """Check that a fault fits the type; a BadInputError says what is allowed."""
-        if when.condition is not None:
-            self.dtype(when.condition.field)
+        if change.when.condition is not None:
+            self.dtype(change.when.condition.field)
         if not field:
             return
         dtype = self.dtype(field)
-        if operation.name != "freeze":
-            check_number_operation(operation, dtype)
+        if change.operation.name != "freeze":
+            check_number_operation(change.operation, dtype)
 
     def dtype(self, path: str) -> str:
         """NumPy's name of the type of the number at a path; a BadInputError if there is none."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import FrameType
 
 from mavfi.errors import BadInputError
+from mavfi.extras.ros.processes import descendants
 from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.fault_text import parse_fault
 from mavfi.extras.ros.ros2.injection import GraphInjection
@@ -117,16 +118,3 @@ class StartedGraph:
                         f"{program_of(pid)} runs ROS 2 without the interposer (setuid, or it clears LD_PRELOAD): "
                         "its messages were not changed"
                     )
-
-
-def descendants(pid: int) -> list[int]:
-    """A process and all that descend from it."""
-    children: dict[int, list[int]] = {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):
-            fields = path.read_text().rpartition(")")[2].split()
-            children.setdefault(int(fields[1]), []).append(int(path.parent.name))
-    family = [pid]
-    for parent in family:
-        family += children.get(parent, [])
-    return family

@@ -80,8 +80,8 @@ def test_other_arguments_are_not_placed(value):
     ],
 )
 def test_accesses_of_an_instruction(text, wanted):
-    found = accesses_of(parse_instruction(Cursor(tokens_of(text, "kernel"), "kernel")))
-    assert [(a.pointer, a.size, *((a.mask, a.lanes) if a.lanes else ())) for a in found] == wanted
+    accesses = accesses_of(parse_instruction(Cursor(tokens_of(text, "kernel"), "kernel")))
+    assert [(a.pointer, a.size, *((a.mask, a.lanes) if a.lanes else ())) for a in accesses] == wanted
 
 
 # ---- calls ----------------------------------------------------------------------------------------------------------

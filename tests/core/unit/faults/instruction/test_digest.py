@@ -113,12 +113,12 @@ def doubled(x):
 @pytest.mark.slow
 @pytest.mark.long
 def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
-    found = [
+    digests = [
         ir_digests(order, tmp_path / str(number), {"PYTHONHASHSEED": str(number)})
         for number, order in enumerate((TWO, TWO[::-1]))
     ]
-    assert set(found[0]) == set(TWO)
-    assert found[0] == found[1]
+    assert set(digests[0]) == set(TWO)
+    assert digests[0] == digests[1]
 
 
 def test_the_digest_tells_one_callee_from_another():

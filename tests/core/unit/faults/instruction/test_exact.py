@@ -48,9 +48,9 @@ def oracle():
 
 @pytest.fixture(scope="module")
 def trace(oracle):
-    found = []
-    assert oracle.run(LOOP, trace=found) == loop(*LOOP)
-    return found
+    executed = []
+    assert oracle.run(LOOP, trace=executed) == loop(*LOOP)
+    return executed
 
 
 def budget(trace):

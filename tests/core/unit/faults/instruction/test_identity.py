@@ -65,11 +65,11 @@ def test_the_table_has_the_types_that_llvm_has(name):
     copy.compile(signature_)
     text = copy.inspect_llvm(signature_)
     made = instrument(text, name)
-    own = [(site.opcode, site.kind, site.width) for block in made.table.blocks for site in block]
-    assert own == [(op, kind, width(kind)) for op, kind in llvm_reads(text)]
+    our_sites = [(site.opcode, site.kind, site.width) for block in made.table.blocks for site in block]
+    assert our_sites == [(op, kind, width(kind)) for op, kind in llvm_reads(text)]
     variant = variant_for(case.function, tuple(case.arguments()))
     if variant.ir_sha256 == made.ir_sha256:  # where callees were compiled here, they may be inlined otherwise
-        assert own == [(site.opcode, site.kind, site.width) for block in variant.table.blocks for site in block]
+        assert our_sites == [(site.opcode, site.kind, site.width) for block in variant.table.blocks for site in block]
 
 
 def llvm_reads(text):
@@ -92,8 +92,8 @@ def assembly(dispatcher, signature_):
     body = text[text.index(".type\t_ZN5mavfi7kernels") : text.index("_ZN7cpython5mavfi7kernels")]
     lines = [line.split("#")[0].rstrip() for line in body.split("\n")]
     labels = {}
-    kept = [line for line in lines if re.match(r"\t[a-z]", line)]
-    return [re.sub(r"\.L\w+|_ZN\S+", lambda m: labels.setdefault(m[0], f"L{len(labels)}"), line) for line in kept]
+    code_lines = [line for line in lines if re.match(r"\t[a-z]", line)]
+    return [re.sub(r"\.L\w+|_ZN\S+", lambda m: labels.setdefault(m[0], f"L{len(labels)}"), line) for line in code_lines]
 
 
 @pytest.mark.slow

@@ -126,7 +126,8 @@ def test_code_that_is_moved_renamed_commented_and_reformatted_has_the_same_diges
     before, after = (records_of(kernel) for kernel in kernels)
     assert digest_of(before, tmp_path / "before") == digest_of(after, tmp_path / "after")
     lines = [
-        [(record.injections[0].file, record.injections[0].line) for _, record in own[1:]] for own in (before, after)
+        [(record.injections[0].file, record.injections[0].line) for _, record in records[1:]]
+        for records in (before, after)
     ]
     assert {file for file, _ in lines[0]} == {"before/kernel.py", "before/helpers.py"}
     assert {file for file, _ in lines[1]} == {"a_longer_name/of_the_pipeline.py", "a_longer_name/arithmetic.py"}

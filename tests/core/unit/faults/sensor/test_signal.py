@@ -21,10 +21,10 @@ def received(kind, unit="gyro", lasts_s=LASTS_S, values=RAMP, **keys):
 
 @given(st.sampled_from(sorted(UNITS)), st.sampled_from(sorted(TYPES)), st.integers(0, 9), st.floats(0.01, 5.0))
 def test_outside_its_time_a_failure_changes_nothing(unit, kind, seed, lasts_s):
-    found = received(kind, unit, lasts_s, seed=seed)
+    signal = received(kind, unit, lasts_s, seed=seed)
     inside = np.array([BEGIN_US <= time_us < BEGIN_US + 1e6 * lasts_s for time_us in TIMES])
-    assert (found[~inside] == RAMP[~inside]).all()
-    assert (kind == "ok") == np.array_equal(found, RAMP) or kind == "intermittent" or lasts_s <= 1e-6 * STEP_US
+    assert (signal[~inside] == RAMP[~inside]).all()
+    assert (kind == "ok") == np.array_equal(signal, RAMP) or kind == "intermittent" or lasts_s <= 1e-6 * STEP_US
 
 
 @given(st.sampled_from(sorted(UNITS)), st.sampled_from(sorted(TYPES)), st.integers(0, 9))
@@ -65,22 +65,22 @@ def test_a_drift_ends_at_no_thrust():
 
 
 def test_slow_is_an_update_per_period():
-    found, every = received("slow"), SLOW_US // STEP_US
+    signal, every = received("slow"), SLOW_US // STEP_US
     for start in range(FIRST, LAST, every):
-        assert (found[start : start + every] == RAMP[start]).all()
+        assert (signal[start : start + every] == RAMP[start]).all()
 
 
 def test_intermittent_loses_whole_blocks_of_which_about_half():
     ones = np.ones((len(TIMES), 1))
-    found = received("intermittent", "motor", 1e9, ones)[FIRST:, 0]
-    blocks = found[: len(found) // 5 * 5].reshape(-1, BLOCK_US // STEP_US)
+    signal = received("intermittent", "motor", 1e9, ones)[FIRST:, 0]
+    blocks = signal[: len(signal) // 5 * 5].reshape(-1, BLOCK_US // STEP_US)
     assert set(blocks.sum(axis=1)) == {0.0, 5.0} and 4 <= (blocks[:, 0] == 0.0).sum() <= 16
-    assert not np.array_equal(found, received("intermittent", "motor", 1e9, ones, seed=1)[FIRST:, 0])
+    assert not np.array_equal(signal, received("intermittent", "motor", 1e9, ones, seed=1)[FIRST:, 0])
 
 
 def test_garbage_is_within_its_range_and_a_function_of_the_seed():
     for unit, low in (("gyro", -3.0), ("motor", 0.0)):
-        found = received("garbage", unit)[FIRST:LAST]
-        assert low <= found.min() < found.max() <= UNITS[unit].spread
-        assert np.array_equal(found, received("garbage", unit)[FIRST:LAST])
-        assert not np.array_equal(found, received("garbage", unit, seed=1)[FIRST:LAST])
+        signal = received("garbage", unit)[FIRST:LAST]
+        assert low <= signal.min() < signal.max() <= UNITS[unit].spread
+        assert np.array_equal(signal, received("garbage", unit)[FIRST:LAST])
+        assert not np.array_equal(signal, received("garbage", unit, seed=1)[FIRST:LAST])

@@ -18,8 +18,8 @@ from typing import Any, Literal, NamedTuple
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.extras.registers.shared_library import shared_library
-from mavfi.faults.changes import When
-from mavfi.faults.operations import MESSAGE_OPERATIONS, Operation
+from mavfi.faults.changes import Change
+from mavfi.faults.operations import MESSAGE_OPERATIONS
 
 Side = Literal["publish", "take", "send_request", "take_request", "send_response", "take_response"]
 SIDES: tuple[Side, ...] = ("publish", "take", "send_request", "take_request", "send_response", "take_response")
@@ -140,8 +140,7 @@ class InterposedFault:
     Attributes:
         topic: Full name of the topic or service.
         field: Path of a number, e.g. `ranges[17]`; "" = the whole message.
-        operation: What is done.
-        when: To which messages.
+        change: What is done, and to which messages.
         side: Where, see `SIDES`.
         seed: Draws the bit, and the messages of a `share`.
         type: Full name of the type, e.g. `sensor_msgs/msg/LaserScan`; needed for what was made before the interposer
@@ -154,16 +153,17 @@ class InterposedFault:
 
     topic: str
     field: str
-    operation: Operation
-    when: When
+    change: Change
     side: Side = "publish"
     seed: int = 0
     type: str = ""
     pid: int = 0
 
     def __post_init__(self) -> None:
-        name = self.operation.name
-        where = f"{self.topic}: {self.operation}"
+        name = self.change.operation.name
+        where = f"{self.topic}: {self.change.operation}"
+        if self.change.lasts_s > 0.0:
+            raise BadInputError(f"{where}: lasts: allowed in flights; here: @START..END")
         if self.field and name in MESSAGE_OPERATIONS and name != "freeze":
             raise BadInputError(f"{where}: changes whole messages; allowed: without a field")
         if not self.field and name not in MESSAGE_OPERATIONS:
@@ -347,10 +347,10 @@ def check_layout() -> None:
 
 def _packed(fault: InterposedFault) -> _Fault:
     """A fault as the interposer reads it."""
-    when = fault.when
+    operation, when, _ = fault.change
     packed = _Fault(
         side=SIDES.index(fault.side),
-        operation=_OPERATIONS.index(fault.operation.name),
+        operation=_OPERATIONS.index(operation.name),
         sim_time=int(when.sim_time),
         bit=_DRAWN,
         pid=fault.pid,
@@ -366,10 +366,10 @@ def _packed(fault: InterposedFault) -> _Fault:
         field=fault.field.encode(),
         type=fault.type.encode(),
     )
-    if fault.operation.value is not None:
-        packed.value = fault.operation.value
-    if fault.operation.bit is not None:
-        packed.bit = fault.operation.bit
+    if operation.value is not None:
+        packed.value = operation.value
+    if operation.bit is not None:
+        packed.bit = operation.bit
     if when.condition is not None:
         packed.comparison = _COMPARISONS.index(when.condition.comparison)
         packed.condition = when.condition.field.encode()

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, cast
 from mavfi.errors import BadInputError
 from mavfi.extras.registers import inject
 from mavfi.extras.registers.fault import RegisterFault
-from mavfi.extras.ros.processes import children
+from mavfi.extras.ros.processes import descendants, is_traced
 from mavfi.extras.ros.ros2.environment import find_installation
 from mavfi.extras.ros.ros2.interposer.page import ControlPage, InterposedFault, Report, Side
 from mavfi.extras.ros.ros2.stack.clients import (
@@ -181,8 +181,7 @@ class StackBench:
         side: Side = "publish"
         if fault.topic in (*self._stack.input_topics, *(entry["topic"] for entry in self._inputs)):
             side = "take"
-        change = fault.planned
-        return InterposedFault(fault.topic, fault.field, change.operation, change.when, side, fault.seed)
+        return InterposedFault(fault.topic, fault.field, fault.planned, side, fault.seed)
 
     def golden(self) -> PlayedRun:
         """The error-free run, after several equal ones.
@@ -335,7 +334,7 @@ class StackBench:
             script = self._connect(driver, pids)
             start_s = time.monotonic() - began
             played = self._play_inputs(driver, pids, script, fault, count)
-            lasting = Counter(name for pid in pids for name in descendants(pid))
+            lasting = Counter(name for pid in pids for name in _command_lines(pid))
         finally:
             driver.close()
             statuses = self._processes.end()
@@ -511,7 +510,7 @@ class StackBench:
         # The inputs wait for the tracer, which takes longer to start than a stack to answer all of them.
         injecting = threading.Thread(target=run)
         injecting.start()
-        while injecting.is_alive() and not _is_traced(pid):
+        while injecting.is_alive() and not is_traced(pid):
             time.sleep(_POLL_S)
         cycles: list[dict[str, Any]] = []
         left = _CYCLES_AFTER
@@ -570,23 +569,13 @@ class StackBench:
         return ""
 
 
-def descendants(pid: int) -> Iterator[str]:
+def _command_lines(pid: int) -> Iterator[str]:
     """Command lines of the processes that a process has started, and of theirs."""
-    for child in children(pid):
+    for child in descendants(pid)[1:]:
         with suppress(OSError):
             words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
             if any(words):  # a process that has ended has none
                 yield " ".join(word.decode(errors="replace") for word in words).strip()
-        yield from descendants(child)
-
-
-def _is_traced(pid: int) -> bool:
-    """Whether a tracer is attached to a thread of a process."""
-    for path in Path(f"/proc/{pid}/task").glob("*/status"):
-        with suppress(OSError):
-            if "\nTracerPid:\t0\n" not in path.read_text():
-                return True
-    return False
 
 
 def _injections(
@@ -612,7 +601,7 @@ def _injections(
             report.before,
             report.after,
             activated=True,
-            details={"message": report.message, "operation": str(fault.operation), "type": report.dtype},
+            details={"message": report.message, "operation": str(fault.change.operation), "type": report.dtype},
         )
         for report in run.reports
         if report.kind == "changed"
