@@ -19,9 +19,9 @@ from typing import Any
 
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
+from mavfi.ir.forked import run_in_child
 from mavfi.ir.injection.runtime import NEVER
 from mavfi.ir.injection.variant import signature_of, variant_for
-from mavfi.levels.instruction import run_in_child
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi import cli
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, NotInstalledError
 from mavfi.plugins import (
     _RememberedNames,
     allow_plugins,
@@ -59,6 +59,14 @@ def test_an_entry_point_that_cannot_be_imported_is_one_line(monkeypatch):
     monkeypatch.setattr("mavfi.plugins.entry_points", lambda group: [broken] if group == GROUP else [])
     with pytest.raises(BadInputError, match=r"entry point 'broken' of mavfi.no_such_group: .* \(ModuleNotFoundError"):
         extensions(GROUP)
+
+
+def test_a_level_of_an_extra_that_is_not_installed_is_refused_with_the_command(monkeypatch, tmp_path):
+    (tmp_path / "level_of_an_extra.py").write_text("import msgpack\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "msgpack", None)
+    with pytest.raises(NotInstalledError, match=r"level 'faulty'.*mavfi\[airsim\]"):
+        load_object("level", "faulty", "mavfi.levels", {"faulty": "level_of_an_extra:Level"})
 
 
 def test_a_constructor_that_raises_and_a_missing_method_are_named():

@@ -31,9 +31,9 @@ from mavfi.ir.build import name_of
 from mavfi.ir.injection.variant import Variant
 from mavfi.ir.module import Module
 from mavfi.ir.sources import cached_shape, shape_of
-from mavfi.levels.instruction import budget_for
 from mavfi.levels.instruction.api import run_apart
 from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.instruction.plan import budget_for
 from mavfi.pipeline.functions import PLAIN
 from mavfi.record import AlarmRecord
 from mavfi.rewriting import KEY, Rewriting

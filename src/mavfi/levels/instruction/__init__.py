@@ -12,15 +12,11 @@ from typing import TYPE_CHECKING, Any
 from mavfi.errors import BadInputError, not_known
 from mavfi.faults.fault import RESTART_S, Fault, FliesFrom, find_level
 from mavfi.faults.plug_ins import without_module
-from mavfi.ir.forked import ChildEnd, ForkPoint, run_in_child
-from mavfi.ir.injection.table import InjectionSite, parse_selection
-from mavfi.ir.injection.variant import MismatchError, Profiling, Resolving
-from mavfi.ir.module import BuildError, NotInstrumentableError
+from mavfi.ir.injection.table import parse_selection
 from mavfi.levels.campaign import SampledCampaign
 from mavfi.levels.instruction.api import InjectedCall, count, draw, histogram, inject, resolve, run_forked
 from mavfi.levels.instruction.drawing import InstructionRequest, InstructionSite
 from mavfi.levels.instruction.fault import MODELS, InstructionFault
-from mavfi.levels.instruction.plan import budget_for, choose
 from mavfi.levels.instruction.sampling import InstructionSampler, InstructionSampling, campaign_targets, stage_of
 from mavfi.levels.level import COMBINED, DECIMAL, WHOLE, Level
 from mavfi.record import Injection
@@ -31,26 +27,15 @@ if TYPE_CHECKING:
     from mavfi.flight.instruction_cases import Published
 
 __all__ = [
-    "BuildError",
-    "ChildEnd",
-    "ForkPoint",
     "InjectedCall",
-    "InjectionSite",
     "InstructionFault",
     "InstructionLevel",
-    "MismatchError",
-    "NotInstrumentableError",
-    "Profiling",
-    "Resolving",
-    "budget_for",
-    "choose",
     "count",
     "draw",
     "histogram",
     "inject",
     "resolve",
     "run_forked",
-    "run_in_child",
 ]
 
 _ONE_INSTRUCTION = re.compile(

@@ -14,7 +14,7 @@ from mavfi.flight.fly import fly
 from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.instruction_cases import Output, first_difference
 from mavfi.flight.mission_flights import fly_recorded
-from mavfi.ir.forked import WILD
+from mavfi.ir.forked import WILD, run_in_child
 from mavfi.ir.injection.variant import MismatchError, variant_for
 from mavfi.levels import instruction
 from mavfi.levels.instruction.drawing import InstructionRequest, draw_instruction_faults
@@ -226,6 +226,6 @@ def test_workers_do_not_report_into_each_other():
     assert instruction.run_forked(total, here, numbers).injection.activated
     variant = variant_for(total, (numbers,))
     before = variant.report()
-    ended = instruction.run_in_child(lambda: bytes([instruction.run_forked(total, there, numbers).injection.activated]))
+    ended = run_in_child(lambda: bytes([instruction.run_forked(total, there, numbers).injection.activated]))
     assert ended.payload == b"\x01"
     assert variant.report() == before

@@ -11,8 +11,8 @@ from mavfi.ir.injection.build import assemble
 from mavfi.ir.injection.instrument import instrument
 from mavfi.ir.injection.variant import Variant, signature_of
 from mavfi.ir.parser import parse_module
-from mavfi.levels.instruction import budget_for
 from mavfi.levels.instruction.api import digest
+from mavfi.levels.instruction.plan import budget_for
 
 OUTCOMES = {b"M": "masked", b"S": "sdc", b"D": "detected", b"E": "exception"}
 

@@ -9,9 +9,10 @@ import pytest
 
 from mavfi.ir.forked import WILD
 from mavfi.ir.injection.variant import variant_for
-from mavfi.levels.instruction import budget_for, count, draw, histogram, inject, resolve, run_forked
+from mavfi.levels.instruction import count, draw, histogram, inject, resolve, run_forked
 from mavfi.levels.instruction.api import digest
 from mavfi.levels.instruction.fault import InstructionFault
+from mavfi.levels.instruction.plan import budget_for
 from tests.core.architecture.source import ROOT
 from tests.core.unit.faults.instruction.kernels import LOOP, counted_down, double, fill, loop, raising
 

@@ -9,7 +9,7 @@ import pytest
 from mavfi.ir import sources as object_cache
 from mavfi.ir.injection import build
 from mavfi.ir.injection.build import cached_build
-from mavfi.levels.instruction import BuildError
+from mavfi.ir.module import BuildError
 from tests.core.unit.faults.instruction.kernels import closure
 
 FLOAT = (numba.float64,)

@@ -6,7 +6,8 @@ from numba import int64
 from numba.typed import Dict
 
 from mavfi.ir.injection.variant import variant_for
-from mavfi.levels.instruction import NotInstrumentableError, count, draw, run_forked
+from mavfi.ir.module import NotInstrumentableError
+from mavfi.levels.instruction import count, draw, run_forked
 from mavfi.levels.instruction.api import digest
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import solved

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mavfi.levels.instruction import choose
+from mavfi.levels.instruction.plan import choose
 
 
 def test_calls_are_drawn_with_the_weight_of_their_counts():

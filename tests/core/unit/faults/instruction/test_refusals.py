@@ -8,8 +8,10 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.ir.injection.instrument import instrument
+from mavfi.ir.injection.variant import MismatchError
+from mavfi.ir.module import NotInstrumentableError
 from mavfi.ir.parser import parse_module
-from mavfi.levels.instruction import MismatchError, NotInstrumentableError, count, draw, inject, run_forked
+from mavfi.levels.instruction import count, draw, inject, run_forked
 from mavfi.numerics.jit import kernel_jit
 from tests.core.unit.faults.instruction.kernels import LOOP, fill, loop
 
