@@ -72,18 +72,12 @@ def trained_for(incomplete: str) -> list[str]:
     return [f"{autopilot}/{platform}" for autopilot in names("autopilots") for platform in names("platforms")]
 
 
-_LEVELS = ("state", "memory", "instruction", "sensor", "message")
-"""Levels of faults whose places are completed."""
-
-
 def fault(incomplete: str) -> list[str]:
     """Complete the level of a fault, then step by step where it is and what happens."""
     level, colon, target = incomplete.partition(":")
     if not colon:
-        return ["null", *(f"{name}:" for name in _LEVELS)]
-    if level not in _LEVELS:
-        return []
-    places = _places_of(level)
+        return ["null", *(f"{name}:" for name in _places())]
+    places = _places().get(level, {})
     for name, further in places.items():
         # A place that is complete is followed by what it consists of, or by what happens to it.
         if further and target.startswith(name):
@@ -91,21 +85,20 @@ def fault(incomplete: str) -> list[str]:
     return [f"{level}:{name}" for name in places]
 
 
-def _places_of(level: str) -> Mapping[str, Iterable[str]]:
-    """The places of a level's faults, each with what may follow it."""
+def _places() -> dict[str, Mapping[str, Iterable[str]]]:
+    """The places of faults by level, each with what may follow it."""
     from mavfi.faults.operations import MESSAGE_OPERATIONS
     from mavfi.levels.sensor.fault import FAILING, UNITS
     from mavfi.states import DETECTORS, INJECTABLE, KERNELS, STATES
 
-    if level == "state":
-        return {f"{name}.": [field.name for field in (*spec.header, *spec.elements)] for name, spec in STATES.items()}
-    if level == "memory":
-        return dict.fromkeys(KERNELS, ())
-    if level == "instruction":
-        return dict.fromkeys([*INJECTABLE, *DETECTORS], ())
-    if level == "sensor":
-        return {f"{unit}:": FAILING for unit in UNITS}
-    return {f"{state}:": MESSAGE_OPERATIONS for state in STATES}
+    fields = {name: [field.name for field in (*spec.header, *spec.elements)] for name, spec in STATES.items()}
+    return {
+        "state": {f"{name}.": of_state for name, of_state in fields.items()},
+        "memory": dict.fromkeys(KERNELS, ()),
+        "instruction": dict.fromkeys([*INJECTABLE, *DETECTORS], ()),
+        "sensor": {f"{unit}:": FAILING for unit in UNITS},
+        "message": {f"{state}:": MESSAGE_OPERATIONS for state in STATES},
+    }
 
 
 def run_id(context: typer.Context, incomplete: str) -> list[str]:
