@@ -202,7 +202,10 @@ def _fly(
         if spec.run_id not in mission.done:
             yield run
 
-    specs = _draw(plan, mission, sampled)
+    # Without the golden run of the mission itself there is nothing to draw from, and no effect could be told.
+    specs = []
+    if "" in sampled:
+        specs = _draw(plan, mission, sampled)
     yield Planned.of(specs, last=True)
 
     # Another campaign of the job may have flown the same fault in the same arm.

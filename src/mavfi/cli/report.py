@@ -196,17 +196,27 @@ def _check_files(html: Path | None, flights: int | None, figures: Path | None, w
 
 def show_report(report: "CampaignReport", show_all: bool) -> None:
     """Print a report: campaign, leading table or all tables, findings."""
-    from mavfi.report.text import checks, header, show_header, show_table
+    from mavfi.report.text import checks, has_failed_checks, header, show_header, show_table
 
     out = console()
     show_header(header(report.runs.campaign), out)
+    # A failed check stands before the figures that it puts in doubt.
+    failed = has_failed_checks(report.runs)
+    if failed:
+        _show_checks(checks(report.runs))
     tables = report.tables if show_all else report.tables[:1]
     for table in tables:
         show_table(table, out)
     for finding in report.findings:
         out.print(Text(f"· {finding}"))
-    for line in checks(report.runs):
-        out.print(Text(line))
+    if not failed:
+        _show_checks(checks(report.runs))
+
+
+def _show_checks(lines: Sequence[str]) -> None:
+    """Print whether null runs equal their golden runs, and which runs could not be judged."""
+    for line in lines:
+        console().print(Text(line))
 
 
 def _listed(files: Sequence[Path]) -> str:

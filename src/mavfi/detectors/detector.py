@@ -297,6 +297,10 @@ class CustomCallError(MavfiError):
     """A call of a custom detector did not return, or ended its process."""
 
 
+class StateChangedError(BadInputError):
+    """A custom detector has changed a publication, which belongs to its readers."""
+
+
 class _CurrentCall:
     """The call of a custom detector that is in progress in this process.
 
@@ -307,10 +311,15 @@ class _CurrentCall:
 
 
 class NotedCalls:
-    """A custom detector of which each call is noted while it is in progress.
+    """A custom detector of which each call is noted while it is in progress, and must leave its state as it is.
+
+    Its own change of a state would be another fault, of which no record tells.
 
     Args:
         detector: The detector.
+
+    Raises:
+        StateChangedError: A call has changed the state that it was shown.
     """
 
     def __init__(self, detector: Any) -> None:  # noqa: ANN401 - a user's own
@@ -323,15 +332,31 @@ class NotedCalls:
 
     def check(self, state: Any, time_us: int) -> Any:  # noqa: ANN401 - a user may return anything
         """See `Detector`."""
-        return self._call("check", state, time_us)
+        return self._show("check", state, time_us)
 
     def accept(self, state: Any, time_us: int) -> None:  # noqa: ANN401
         """See `Detector`."""
-        self._call("accept", state, time_us)
+        self._show("accept", state, time_us)
 
     def seal(self, state: Any, time_us: int) -> None:  # noqa: ANN401
         """See `Detector`."""
-        self._call("seal", state, time_us)
+        self._show("seal", state, time_us)
+
+    def _show(self, method: str, state: State, time_us: int) -> Any:  # noqa: ANN401
+        """Show a state to the detector, and compare it afterwards.
+
+        A view that cannot be written would be of another type to compiled functions.
+        """
+        before = state.copy()
+        answer = self._call(method, state, time_us)
+        if not state.same_bits(before):
+            state.header[:] = before.header  # other flights of the mission are replayed from this very object
+            state.elements[:] = before.elements
+            raise StateChangedError(
+                f"detector {self._class}: {method} changed {state.spec.name} at {1e-6 * time_us:.2f} s, which its "
+                "readers get; allowed: to read it, or to change a copy (state.copy())"
+            )
+        return answer
 
     def _call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401
         """Call a method of the detector, noting its name for the message about a process that dies in it."""

@@ -244,9 +244,9 @@ class FlightBranch:
             if watched_states is not None and state.spec.name not in watched_states:
                 continue
             try:
-                if self._detector.check(state, now) is not None:
+                if self._tap.calls.check(state, now) is not None:
                     return True
-                self._detector.accept(state, now)
+                self._tap.calls.accept(state, now)
             except Exception:  # noqa: BLE001 - any exception of a user's detector
                 return True
         return False

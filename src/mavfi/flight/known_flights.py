@@ -13,7 +13,7 @@ from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.loop import CONTROL_PERIOD_US, Loop
 from mavfi.flight.taps import CHECKED_AT_PRODUCER
 from mavfi.record import FlightLog
-from mavfi.states import STATES, State
+from mavfi.states import STATES, State, differing_rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,3 +87,31 @@ def check_prefix(loop: Loop, golden: FlightLog) -> None:
         same = same and loop.status is golden.status and len(rows) == len(golden.rows)
     if not same:
         raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
+
+
+def check_repetition(golden: FlightLog, repeated: FlightLog, custom_parts: str) -> None:
+    """Check that a golden flight with custom parts was flown a second time as the first one, with the same alarms.
+
+    Args:
+        golden: The golden flight.
+        repeated: Its repetition from take-off.
+        custom_parts: Names of the custom parts, for the message.
+
+    Raises:
+        MavfiError: The flights differ; the message says from when on, or in which alarms.
+    """
+    count = min(len(golden.rows), len(repeated.rows))
+    differing = differing_rows(golden.rows[:count], repeated.rows[:count])
+    if len(differing):
+        difference = f"from {golden.rows[differing[0]][0]:.2f} s on"
+    elif len(golden.rows) != len(repeated.rows) or golden.status is not repeated.status:
+        difference = f"from {golden.rows[count - 1][0]:.2f} s on"
+    elif repr(golden.alarms) != repr(repeated.alarms):
+        difference = f"in their alarms ({len(golden.alarms)}, then {len(repeated.alarms)})"
+    else:
+        return
+    raise MavfiError(
+        f"two flights without a fault differ {difference}, so no effect of a fault can be told; custom: "
+        f"{custom_parts}; allowed: random numbers from the seed and memory in its attributes, in a detector written "
+        "by accept alone"
+    )

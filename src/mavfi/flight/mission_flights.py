@@ -5,6 +5,7 @@ a flight controller that is `rewindable`), the kernels, and the detector.  Fault
 so do faults in instructions of kernels if the work arrays of these can be saved, too.
 """
 
+import random
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, cast
@@ -23,14 +24,15 @@ from mavfi.flight.from_checkpoints import fly_from_checkpoints
 from mavfi.flight.from_take_off import fly_instruction_faults
 from mavfi.flight.host import ArmFlights, ArmSetup, Flight, Host, Recorded, one_by_one, require_level
 from mavfi.flight.instruction_cases import InjectedRuns, Published
-from mavfi.flight.known_flights import FlownArm, check_prefix
-from mavfi.flight.loop import Listener
+from mavfi.flight.known_flights import FlownArm, check_prefix, check_repetition
+from mavfi.flight.loop import Listener, Loop
 from mavfi.flight.plant import MakePlant
-from mavfi.flight.targets import Targets
+from mavfi.flight.targets import Targets, plug_ins_of
 from mavfi.ir.injection.variant import Resolving
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import ENTRIES
 from mavfi.sim.controller import is_rewindable
+from mavfi.sim.environments import find_generator
 from mavfi.sim.simulator import Simulator
 from mavfi.states import State
 
@@ -79,6 +81,38 @@ class LocalFlights(ArmFlights):
         self._can_save_detector: dict[str, bool] = {}  # by arm
         self._has_watched_runs = True
         self._expects_instruction_faults = False
+        self._repeated: set[tuple[str, int]] = set()  # golden flights: key of the scenario, identity of the detector
+
+    # ---- golden flights with custom parts ---------------------------------------------------------------------------
+    def golden(self, arm: str, *, profile: bool = False) -> Flight:
+        """See `MissionFlights.golden`; with custom parts, it is flown twice."""
+        golden = super().golden(arm, profile=profile)
+        self._check_repetition(arm, golden)
+        return golden
+
+    def register_golden(self, arm: str, flight: Flight) -> None:
+        """See `MissionFlights.register_golden`."""
+        super().register_golden(arm, flight)
+        self._check_repetition(arm, flight)
+
+    def _check_repetition(self, arm: str, golden: Flight) -> None:
+        """Fly a golden flight with custom parts once more, from take-off; no fault has an effect if the two differ.
+
+        Raises:
+            MavfiError: They differ.
+        """
+        setup = self._arms[arm]
+        detector = self._detector(arm)
+        custom_parts = custom_parts_of(setup.scenario, detector)
+        flight_key = setup.scenario.key(), id(detector)
+        if not custom_parts or flight_key in self._repeated or not self._local_host.supports_fast_forward:
+            return
+        with _global_generators_restored():
+            repeated = fly(
+                setup.scenario, None, detector, recovery=setup.recovery, observers=[_OtherGlobalGenerators()]
+            )
+        check_repetition(golden.log, repeated.log, ", ".join(custom_parts))
+        self._repeated.add(flight_key)
 
     @contextmanager
     def _forwarding(self, arm: str) -> Iterator[FastForward | None]:
@@ -178,13 +212,13 @@ class LocalFlights(ArmFlights):
             with self._forwarding_calls(arm, functions) as forward:
                 if forward is not None:
                     with forward.instrumented(functions, listeners):
-                        self._golden[arm] = Flight(forward.fly().log)
-                    return self._golden[arm]
+                        golden = Flight(forward.fly().log)
+                    self.register_golden(arm, golden)
+                    return golden
         with Targets(setup.scenario, detector).instrumented(functions) as table:
-            self._golden[arm] = fly(
-                setup.scenario, None, detector, recovery=setup.recovery, functions=table, observers=listeners
-            )
-        return self._golden[arm]
+            golden = fly(setup.scenario, None, detector, recovery=setup.recovery, functions=table, observers=listeners)
+        self.register_golden(arm, golden)
+        return golden
 
     def resolve_instructions(self, arm: str, functions: Mapping[str, Resolving]) -> None:
         """Repeat as much of a golden flight that was counted as is needed to resolve instructions of its calls.
@@ -291,6 +325,36 @@ class LocalFlights(ArmFlights):
             if self._arms[arm].scenario.key() == scenario_key and self._saves_detector(arm):
                 watched.append(flown_arm)
         return watched
+
+
+def custom_parts_of(scenario: Scenario, detector: Detector | None) -> list[str]:
+    """Names of what is not part of mavfi in a mission under a detector."""
+    names = [plug_in.address for plug_in in plug_ins_of(scenario, detector)]
+    generator = find_generator(scenario.environment.generator)
+    if not generator.__module__.startswith("mavfi."):
+        names.append(scenario.environment.generator)
+    return names
+
+
+class _OtherGlobalGenerators(Listener):
+    """Seeds the global generators anew when a flight has been built: no checkpoint contains them."""
+
+    def begin(self, loop: Loop) -> None:
+        """See `Listener`."""
+        random.seed(loop.scenario.seed + 1)
+        np.random.seed((loop.scenario.seed + 1) % 2**32)  # noqa: NPY002 - the global generator
+
+
+@contextmanager
+def _global_generators_restored() -> Iterator[None]:
+    """Leave the global generators as they were, for the code that uses mavfi."""
+    state = random.getstate()
+    numpy_state = np.random.get_state()  # noqa: NPY002 - the global generator
+    try:
+        yield
+    finally:
+        random.setstate(state)
+        np.random.set_state(numpy_state)  # noqa: NPY002 - the global generator
 
 
 def _start_of(fault: Fault | None) -> FliesFrom:

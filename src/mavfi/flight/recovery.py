@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import proxy
 
-from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, NotedCalls, checked_alarm, is_custom
+from mavfi.detectors.detector import DIFFERENT, Alarm, Detector, NotedCalls, StateChangedError, checked_alarm, is_custom
 from mavfi.errors import machine_failure
 from mavfi.flight.decide import (
     INLINE,
@@ -66,6 +66,7 @@ class DetectorTap:
 
     Attributes:
         memory: What it remembers between alarms.
+        calls: The detector, called with care if it is custom.
         seals: Whether it needs each value before injection, as sent by the producer.
         states: Names of the states that it needs to see; None = all.
     """
@@ -83,9 +84,9 @@ class DetectorTap:
         self._restart = restart
         self._is_custom = is_custom(detector)
         # looked up at each call, since a memory fault replaces the methods of a detector in flight
-        self._calls: Any = detector
+        self.calls: Any = detector
         if self._is_custom:
-            self._calls = NotedCalls(detector)
+            self.calls = NotedCalls(detector)
         self._detector_seals = detector.seals
         self.seals = self._detector_seals or policy.resends
         self._hold: HoldPosition | None = None
@@ -111,14 +112,14 @@ class DetectorTap:
 
     def begin(self) -> None:
         """Initialize the detector at the start of a flight."""
-        self._calls.start()
+        self.calls.start()
 
     def seal(self, state: State, now: int) -> None:
         """Keep a copy of a value as sent by its producer, and let the detector seal it."""
         self._sent = state
         if self._detector_seals and not self.memory.crashed:
             try:
-                self._calls.seal(state, now)
+                self.calls.seal(state, now)
             except Exception as error:  # noqa: BLE001 - of a custom detector
                 self.give_up(error, now)
 
@@ -141,9 +142,9 @@ class DetectorTap:
         is_accepted = False
         if self._is_checked(awaited, now):
             try:
-                alarm = self._calls.check(state, now)
+                alarm = self.calls.check(state, now)
                 if alarm is None:
-                    self._calls.accept(state, now)
+                    self.calls.accept(state, now)
                     is_accepted = True
             except Exception as error:  # noqa: BLE001 - of a custom detector
                 self.give_up(error, now)
@@ -200,7 +201,7 @@ class DetectorTap:
         if self.memory.crashed:
             return
         try:
-            self._calls.accept(state, now)
+            self.calls.accept(state, now)
         except Exception as error:  # noqa: BLE001 - of a custom detector
             self.give_up(error, now)
 
@@ -232,6 +233,8 @@ class DetectorTap:
         It may have assumed what no longer holds after the injection.
         """
         if not (self._is_custom and self._loop.injected) or machine_failure(error):
+            raise error
+        if isinstance(error, StateChangedError):  # the flight is no longer that of the fault alone
             raise error
         if not self.memory.silenced:
             self._silence(now, CRASHED, {"how": plugin_failure(error) or reason(error)})

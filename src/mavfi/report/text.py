@@ -153,8 +153,14 @@ def versions(campaign: Mapping[str, Any]) -> list[str]:
 
 
 def differing_null_runs(runs: Runs) -> list[str]:
-    """Ids of the null runs that differ from their golden runs."""
-    return [row["run_id"] for row in runs.null if row["effect"] != "masked"]
+    """Ids of the null runs that differ from their golden runs in the flight, or in the number of alarms."""
+    golden_alarms = {(row["environment"], row["seed"], row["arm"]): row["alarms_total"] for row in runs.golden}
+    differing = []
+    for row in runs.null:
+        alarms = golden_alarms.get((row["environment"], row["seed"], row["arm"]))
+        if row["effect"] != "masked" or row["alarms_total"] != alarms:
+            differing.append(row["run_id"])
+    return differing
 
 
 def null_line(runs: Runs) -> str:
@@ -166,6 +172,11 @@ def null_line(runs: Runs) -> str:
     if not differing:
         return f"Null runs: all {count} with an empty mask have the digest of their golden runs."
     return f"Null runs: {len(differing)} of {count} DIFFER from their golden runs: {', '.join(differing)}"
+
+
+def has_failed_checks(runs: Runs) -> bool:
+    """Whether null runs differ, or runs could not be judged: what is said before any figure."""
+    return bool(differing_null_runs(runs)) or len(runs.where(judged=False)) > 0
 
 
 def checks(runs: Runs) -> list[str]:

@@ -4,6 +4,7 @@ import os
 import signal
 import time
 
+import numpy as np
 import pytest
 
 from mavfi.detectors.detector import (
@@ -12,10 +13,12 @@ from mavfi.detectors.detector import (
     Detector,
     NoDetector,
     NotedCalls,
+    StateChangedError,
     is_custom,
     split_noting_calls,
 )
 from mavfi.ir.forked import ForkPoint
+from mavfi.states import new_state
 
 
 class Own(Detector):
@@ -67,9 +70,30 @@ def test_a_detector_is_custom_if_a_part_is_not_of_mavfi(detector, custom):
 def test_a_call_that_ends_its_process_is_named(end, how, method):
     calls = NotedCalls(Own(**{method: end}))
     with pytest.raises(CustomCallError, match=rf"^detector \S+test_custom:Own: {method} {how}"):
-        in_child(lambda: getattr(calls, method)(None, 0))
+        in_child(lambda: getattr(calls, method)(new_state("control.command"), 0))
 
 
 def test_a_call_that_does_not_return_is_named():
     with pytest.raises(CustomCallError, match=r"^detector \S+:Own: check did not return within 0.3 s$"):
-        in_child(lambda: NotedCalls(Own(check=sleep)).check(None, 0), timeout=0.3)
+        in_child(lambda: NotedCalls(Own(check=sleep)).check(new_state("control.command"), 0), timeout=0.3)
+
+
+class Writer(Detector):
+    """Changes what it is shown."""
+
+    def check(self, state, time_us):
+        state.header["vx"] = np.nan
+
+    def accept(self, state, time_us):
+        state.header["vx"] = np.nan
+
+    def seal(self, state, time_us):
+        state.header["vx"] = np.nan
+
+
+@pytest.mark.parametrize("method", ["check", "accept", "seal"])
+def test_a_detector_that_changes_a_state_is_named_and_the_state_is_restored(method):
+    state = new_state("control.command")
+    with pytest.raises(StateChangedError, match=rf":Writer: {method} changed control.command at 3.50 s"):
+        getattr(NotedCalls(Writer()), method)(state, 3_500_000)
+    assert state.same_bits(new_state("control.command"))
