@@ -134,7 +134,7 @@ def run(
     """
     with naming_extra("mavfi.run"):  # before the flights
         from mavfi.analysis.runs import Runs
-    from mavfi.campaign.begin import begin, check_names
+    from mavfi.campaign.begin import begin, check_names, check_null_runs
     from mavfi.campaign.config import Campaign, load_campaign
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
@@ -145,6 +145,7 @@ def run(
     else:
         loaded_campaign = load_campaign(campaign)
         check_names(loaded_campaign, str(campaign))
+    check_null_runs(loaded_campaign, Path(directory))
     with Bar(loaded_campaign.name, "runs", prints_lines=False) as bar:
         run_campaign(
             begin(loaded_campaign, Path(directory), models_dir=_path(models), extend=extend),

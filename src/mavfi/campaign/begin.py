@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from mavfi.campaign.config import Campaign
+from mavfi.campaign.config import ArmConfig, Campaign
 from mavfi.campaign.extension import as_grown
 from mavfi.campaign.ledger import ORDERED
 from mavfi.campaign.resolve import Arm, ResolvedCampaign, resolve
@@ -12,6 +12,7 @@ from mavfi.campaign.store import read_meta
 from mavfi.config import STORED
 from mavfi.detectors.registry import check_detector
 from mavfi.errors import BadInputError
+from mavfi.faults.plug_ins import is_custom_detector, plug_ins_of_spec
 from mavfi.flight.compose import with_keys_of
 from mavfi.flight.host import require_level
 from mavfi.mission import MissionSpec
@@ -51,6 +52,28 @@ def _as_begun(campaign: Campaign, directory: Path, *, extend: bool) -> Campaign:
         if begun == campaign:
             return begun
     return campaign
+
+
+def check_null_runs(campaign: Campaign, directory: Path) -> None:
+    """Refuse a new campaign with custom parts and without null runs, at a level that has them.
+
+    A ledger that was begun without them is completed as it is.
+
+    Raises:
+        BadInputError: It has none.
+    """
+    if campaign.nulls or not campaign.sampling.null_runs or read_meta(directory, ORDERED) is not None:
+        return
+    for arm in (ArmConfig(), *campaign.arms.values()):
+        detector = ""
+        if is_custom_detector(arm.detector):
+            detector = arm.detector
+        spec = campaign.spec(campaign.environments[0], campaign.first_seed, arm.mission)
+        for plug_in in plug_ins_of_spec(spec, detector):
+            raise BadInputError(
+                f"campaign {campaign.name}: null_runs: 0: {plug_in.address} is custom, and null runs show whether it "
+                "flies the same each time; allowed: 1 or more, or without the key"
+            )
 
 
 def check_names(campaign: Campaign, source: str) -> None:

@@ -656,6 +656,19 @@ class Store:
         notes = self._connection.execute("SELECT note FROM runs WHERE json_extract(record, '$.end') = 'unknown'")
         return Counter(reason_of(note) for (note,) in notes)
 
+    def differing_null_runs(self) -> list[str]:
+        """Ids of the null runs that differ from the golden run of their arm, in the flight or the number of alarms."""
+        query = (
+            "SELECT n.run_id FROM runs n JOIN runs g ON g.environment = n.environment AND g.seed = n.seed "
+            "AND g.kind = 'golden' AND json_extract(g.spec, '$.arm') = json_extract(n.spec, '$.arm') "
+            "WHERE n.kind = 'null' AND n.record IS NOT NULL AND json_extract(g.record, '$.digest') != '' "
+            # keys are absent where they have their default
+            "AND (json_extract(n.record, '$.digest') IS NOT json_extract(g.record, '$.digest') "
+            "OR json_extract(n.record, '$.alarms_total') IS NOT json_extract(g.record, '$.alarms_total')) "
+            "ORDER BY n.position"
+        )
+        return [run_id for (run_id,) in self._connection.execute(query)]
+
     @property
     def complete(self) -> bool:
         """Whether every run of every mission is stored and flown."""

@@ -100,7 +100,7 @@ def run(  # noqa: PLR0913 - options
 
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
-    from mavfi.campaign.begin import begin, check_names
+    from mavfi.campaign.begin import begin, check_names, check_null_runs
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.plan import WHOLE, Shard
     from mavfi.campaign.run import run_campaign
@@ -112,6 +112,7 @@ def run(  # noqa: PLR0913 - options
     ledger = out or Path("out") / campaign.name
     use_ledger(ledger, read_meta(ledger, IDENTITY))  # a resumed campaign has been allowed to run its plug-ins
     check_names(campaign, config)
+    check_null_runs(campaign, ledger)
     requirements = _requirements(campaign, [*campaign.require, *(require or ())], junit)
     if extend and not is_file(ledger / FILE):
         raise BadInputError(f"--extend: {ledger} holds no campaign; allowed: the folder of one, or without --extend")
@@ -124,8 +125,9 @@ def run(  # noqa: PLR0913 - options
     # fly what is missing
     stop_message = f"Stopped. What is done is kept in {ledger}; the same command resumes."
     with stoppable(stop_message), Bar(f"campaign {campaign.name}", "runs") as bar:
+        begun = begin(campaign, ledger, models_dir=models, extend=extend)
         status = run_campaign(
-            begin(campaign, ledger, models_dir=models, extend=extend),
+            begun,
             ledger,
             executor=chosen_executor,
             fast_forward=fast_forward,
@@ -139,6 +141,8 @@ def run(  # noqa: PLR0913 - options
             f"{ledger}: {status.unknown} of {status.total} runs have status unknown{_most_frequent_reason(ledger)}: "
             f"`mavfi runs {ledger} --failed` lists them with the reason; --allow-unknown accepts them"
         )
+    if begun.host.deterministic:
+        _check_null_runs(ledger)
     if chosen_shard != WHOLE:
         text = (
             f"Done with shard {chosen_shard}. To join all: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
@@ -219,6 +223,19 @@ def _executor(name: str, scheduler: str, workers: int) -> "Executor":
     if scheduler:
         raise BadInputError(f"--scheduler: {scheduler}: allowed with --executor {', '.join(extras)}")
     return LocalExecutor(workers)
+
+
+def _check_null_runs(ledger: Path) -> None:
+    """Refuse to report a campaign whose null runs differ from their golden runs: its faults have no effect to tell."""
+    from mavfi.campaign.store import Store
+
+    with Store.open(ledger) as store:
+        differing = store.differing_null_runs()
+    if differing:
+        raise MavfiError(
+            f"{ledger}: {len(differing)} null runs differ from their golden runs, in the flight or in their alarms, so "
+            f"no effect of a fault can be told: {', '.join(differing[:5])}"
+        )
 
 
 def _most_frequent_reason(ledger: Path) -> str:

@@ -109,14 +109,14 @@ def test_a_campaign_flies_all_other_runs_and_names_the_call(tmp_path):
             "environments": ["sparse"],
             "missions": 1,
             "faults": 1,
-            "null_runs": 0,
+            "null_runs": 1,
             "arms": {"own": {"detector": name}},
         }
     )
     mavfi.run(campaign, tmp_path / "runs", workers=1)
     with Store.open(tmp_path / "runs") as store:
         runs = {(run.spec.kind, run.spec.arm): run for run in store.runs()}
-    assert len(runs) == 4
+    assert len(runs) == 5
     assert {run.record.end for (_, arm), run in runs.items() if not arm} == {End.FLOWN}
     for (_, arm), run in runs.items():
         if arm:

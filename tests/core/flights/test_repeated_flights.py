@@ -1,13 +1,16 @@
 # ruff: noqa: NPY002 - planners that use the global generator are what is tested
 """A golden flight with custom parts is flown twice; if the two differ, no effect of a fault is claimed."""
 
+import sqlite3
+
 import numpy as np
 import pytest
 
 import mavfi
+from mavfi.campaign.begin import check_null_runs
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.store import Store
+from mavfi.campaign.store import FILE, Store
 from mavfi.cli import run
 from mavfi.detectors import Alarm, Detector
 from mavfi.errors import BadInputError, MavfiError
@@ -155,3 +158,35 @@ def test_what_is_part_of_mavfi_is_flown_once(monkeypatch):
     monkeypatch.setattr("mavfi.flight.mission_flights.check_repetition", lambda *flights: flown.append(flights))
     LocalHost().mission({"": ArmSetup(mission())}, fast_forward=False).golden("")
     assert not flown
+
+
+def test_a_campaign_with_custom_parts_has_null_runs(tmp_path):
+    keys = {"name": "none", "environments": ["dense"], "null_runs": 0}
+    refused = Campaign.model_validate({**keys, "arms": {"own": {"detector": address(Counts)}}})
+    with pytest.raises(BadInputError, match=r"null_runs: 0: \S+:Counts is custom, .*; allowed: 1 or more"):
+        check_null_runs(refused, tmp_path)
+    check_null_runs(Campaign.model_validate({**keys, "arms": {"shipped": {"detector": "recommended"}}}), tmp_path)
+
+
+def test_null_runs_are_compared_with_the_golden_run_of_their_arm(tmp_path):
+    campaign = Campaign.model_validate(
+        {
+            "name": "nulls",
+            "environments": ["dense"],
+            "first_seed": 1,
+            "missions": 1,
+            "faults": 1,
+            "null_runs": 2,
+            "mission": {"goal": GOAL},
+            "arms": {"idle": {"detector": "none"}},
+        }
+    )
+    run_campaign(campaign, tmp_path, executor=LocalExecutor(1))
+    with Store.open(tmp_path) as store:
+        assert not store.differing_null_runs()
+    with sqlite3.connect(tmp_path / FILE) as connection:
+        changed = "UPDATE runs SET record = json_set(record, '$.alarms_total', 1) WHERE setting = 'null_idle'"
+        assert connection.execute(changed).rowcount == 1
+        # what a detector that remembers in `check` leaves
+        store = Store(tmp_path, connection)
+        assert [run_id.rpartition("-null-")[0] for run_id in store.differing_null_runs()] == ["dense-1-null_idle"]

@@ -1,5 +1,6 @@
 import math
 import struct
+from dataclasses import replace
 
 import pytest
 
@@ -55,6 +56,12 @@ def test_null_runs_are_reported_either_way():
     broken = runs(golden(1), golden(2), null(1, flown()), null(2, GOLDEN))
     assert "1 of 2 DIFFER" in text.null_line(broken)
     assert broken.null["run_id"][0] in text.null_line(broken)
+
+
+def test_null_runs_with_other_alarms_differ():
+    alarmed = runs(golden(1), null(1, replace(GOLDEN, alarms_total=1)))
+    assert "1 of 1 DIFFER" in text.null_line(alarmed)
+    assert text.has_failed_checks(alarmed) and not text.has_failed_checks(runs(golden(1), null(1, GOLDEN)))
 
 
 def test_runs_that_could_not_be_judged_are_named():
