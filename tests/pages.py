@@ -65,6 +65,12 @@ def follow(page, folder, capsys, fewer=()):
         (folder / name).write_text(content, encoding="utf-8")
     for command, shown in sessions(page):
         program, *arguments_of_command = shlex.split(command)
+        if program == "python":
+            result = subprocess.run(
+                [sys.executable, *arguments_of_command], cwd=folder, capture_output=True, text=True, check=False
+            )
+            assert result.returncode == 0 and missing(shown, result.stdout) == [], result.stdout + result.stderr
+            continue
         alone = ["--workers", "1"] if arguments_of_command[:2] == ["campaign", "run"] else []
         assert program == "mavfi" and run([*arguments_of_command, *alone]) == 0, f"{command}: {capsys.readouterr().err}"
         printed = capsys.readouterr().out

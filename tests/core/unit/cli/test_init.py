@@ -1,5 +1,6 @@
 """`mavfi init`: what it writes works as it is."""
 
+import subprocess
 import sys
 
 import pytest
@@ -44,6 +45,15 @@ def test_a_template_is_flown_as_it_is(name, started, tmp_path, monkeypatch):
     small = campaign.resized(Scale(missions=1, faults=1)).model_copy(update=short)
     status = run_campaign(small, tmp_path / "out", executor=LocalExecutor(1))
     assert status.complete and not status.unknown
+
+
+@pytest.mark.parametrize("name", ["detector", "planner"])
+def test_the_contract_suite_of_a_template_passes(name, started):
+    text = started(name)
+    assert f"python -m pytest test_my_{name}.py" in text
+    suite = [sys.executable, "-m", "pytest", "-q", f"test_my_{name}.py"]
+    result = subprocess.run(suite, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout
 
 
 @pytest.mark.parametrize("name", CORE)
