@@ -137,6 +137,12 @@ class MissionSpec(Config):
         le=4.0,
         description="Spread of latencies. Each is multiplied by a factor drawn from 1 / (1 + jitter) to 1 + jitter.",
     )
+    planner_latency: float | None = Field(
+        None,
+        ge=0.0,
+        le=60.0,
+        description="Flight time that a path takes the planner, s. Default: that of the platform.",
+    )
     depth_noise: float = Field(
         0.0, ge=0.0, le=1.0, description="Noise of the depth camera / range. One standard deviation."
     )
@@ -229,6 +235,7 @@ _LATER_KEYS = (
     "arrival_radius",
     "time_limit_factor",
     "latency_jitter",
+    "planner_latency",
     "detector_place",
     "unknown_space",
 )

@@ -34,6 +34,7 @@ class MissionKeysWithoutSeed(TypedDict, total=False):
     arrival_radius: float
     time_limit_factor: float
     latency_jitter: float
+    planner_latency: float | None
     depth_noise: float
     wind: float
     localization: Literal["truth", "estimator"]

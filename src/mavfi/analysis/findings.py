@@ -127,9 +127,11 @@ def _worst_stage(runs: Runs) -> list[str]:
 
 
 def _recovery(runs: Runs) -> list[str]:
-    """Missions that each detector with its recovery brings back, and newly loses."""
+    """Missions that each detector with its recovery brings back, and newly loses; other arms: `_other_missions`."""
     parts = []
     for arm, pairs in pairs_by_arm(runs).items():
+        if not pairs.first("detector"):
+            continue
         regained = 0
         lost = 0
         recovery = m.recovery_of(pairs)
@@ -142,6 +144,32 @@ def _recovery(runs: Runs) -> list[str]:
     if not parts:
         return []
     return [f"{'; '.join(parts)}{_bits(m.leading_faults(runs))}."]
+
+
+def _other_missions(runs: Runs) -> list[str]:
+    """The verdict on each arm without a detector, e.g. with another planner, on the same missions and faults."""
+    sentences = []
+    for arm, pairs in pairs_by_arm(runs).items():
+        if pairs.first("detector"):
+            continue
+        # The name of the arm, with the keys in which its mission differs.
+        keys = runs.campaign.get("arms", {}).get(arm, {}).get("mission", {})
+        name = arm
+        if keys:
+            name = f"{arm} ({', '.join(f'{key} {value}' for key, value in keys.items())})"
+        # The same missions without a fault, then with the same faults.
+        golden = runs.golden.where("judged")
+        golden_rates = [m.rate_of(golden.where(arm=which), "success") for which in (arm, "")]
+        test = m.discordant(pairs)
+        there = m.rate_of(pairs, "dr_success").percent
+        here = _with_n(m.rate_of(pairs, "fi_success"))
+        sentences.append(
+            f"On the same missions and faults{_bits(pairs)}, {name} succeeds in {there}, the campaign's own mission in "
+            f"{here}; without a fault in {golden_rates[0].percent} and {_with_n(golden_rates[1])}. {arm} saves "
+            f"{test.second_only} that are lost without it and loses {test.first_only} (p = {test.p_value:.2g}, "
+            "McNemar's test on whole missions)."
+        )
+    return sentences
 
 
 def _false_alarms(runs: Runs) -> list[str]:
@@ -174,6 +202,7 @@ _SENTENCES: tuple[Callable[[Runs], list[str]], ...] = (
     _success,
     _deaths,
     _effects,
+    _other_missions,
     _recovery,
     _worst_stage,
     _false_alarms,

@@ -16,6 +16,7 @@ from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect, QoF, quality_of
 from mavfi.report.explain import alarm_lines, has_died, injection_lines, is_failure
 from mavfi.report.numbers import signed_percent
+from mavfi.states import PLANNERS
 
 if TYPE_CHECKING:
     from mavfi.report.flight_result import FlightResult
@@ -54,6 +55,7 @@ def panel(result: FlightResult) -> Panel:
         *_remarks(result),
         Text(),
         _figures(result),
+        *_planner_time(result),
         *_fault(result),
         *_alarms(result),
         Text(),
@@ -116,6 +118,21 @@ def _figures(result: FlightResult) -> Table:
     table.add_row("course", f"{record.course_m:.1f} m", style="dim")
     table.add_row("time limit", f"{record.time_limit_s:.1f} s", style="dim")
     return table
+
+
+def _planner_time(result: FlightResult) -> list[RenderableType]:
+    """What a path of a custom planner is charged as, and what it took here; empty for the planners of mavfi."""
+    scenario = result.scenario
+    kernel = result.flight.pipeline.get("planner")
+    wall_times = sorted(getattr(getattr(kernel, "routes", None), "wall_times", ()))
+    if scenario.planner.name in PLANNERS or not wall_times:
+        return []
+    charged_s = 1e-6 * scenario.platform.latency_us["planner"]
+    text = (
+        f"planner {scenario.planner.name}: a path is charged as {charged_s:.3g} s of flight; here it took "
+        f"{wall_times[len(wall_times) // 2]:.2g} s (median of {len(wall_times)}); --planner-latency sets it"
+    )
+    return [Text(), Text(text, style="dim")]
 
 
 def _fault(result: FlightResult) -> list[RenderableType]:

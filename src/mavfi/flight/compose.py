@@ -170,6 +170,9 @@ def _read_from(source: str, key: str) -> Iterator[None]:
 def _platform(spec: MissionSpec, protection: configs.Config | None) -> configs.PlatformConfig:
     """The computer, on which a protected kernel takes as much longer as was measured."""
     platform = shipped("platforms", configs.PlatformConfig, spec.platform)
+    if spec.planner_latency is not None:
+        planner_us = {"planner": round(1e6 * spec.planner_latency)}
+        platform = platform.model_copy(update={"latency_us": {**platform.latency_us, **planner_us}})
     if protection is None:
         return platform
     absent = set(PLANNERS) - {find_planner(spec.planner).name}

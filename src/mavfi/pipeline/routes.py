@@ -4,6 +4,8 @@ A path keeps the planner's radius where possible.  If this causes a long detour 
 are searched with the checker's radius; the fastest path is selected.
 """
 
+import time
+
 import numpy as np
 
 from mavfi.kernels.perception.clearance import OCCUPIED
@@ -57,10 +59,12 @@ class Routes:
         clearance_map: The clearance map for the searches.
         keeper: The searches' memory: the generator; for a user's planner the whole object.
         scratch: Work arrays of the searches; None = they cannot be saved.
+        wall_times: Time that each search of a whole path took here (s); no part of the flight.
     """
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
+        self.wall_times: list[float] = []
         self.clearance_map = ClearanceMap(config)
         search = make_search(config.planner, config.seed, config.functions)
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
@@ -112,7 +116,9 @@ class Routes:
             return None
         if not paths.nearest_clear(clearance.wide, clearance.narrow, core, clearance.grid, goal, *box, _REACH, last):
             last[:] = goal
+        began = time.perf_counter()
         vertices = self.search.search(counter, clearance.grid, first, last, *box)
+        self.wall_times.append(time.perf_counter() - began)
         path = checked_path(self.search, vertices)
         if len(path):
             return path

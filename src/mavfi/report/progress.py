@@ -188,18 +188,30 @@ class _FunctionsBar(Progress):
 
 @contextmanager
 def _noticed_compilation(folder: Path, out: Console) -> Iterator[None]:
-    """Say so if code is compiled after all: a vehicle or planner may need functions that no earlier flight did."""
+    """Say so if code is compiled after all, and how long flights have taken that take long.
+
+    A vehicle or planner may need functions that no earlier flight did, and a custom planner may take seconds a path.
+    """
 
     def count() -> int:
         return sum(1 for pattern in ("*.nbc", "*.bin") for _ in folder.rglob(pattern))
 
     def notice() -> None:
+        compiles = False
+        next_line_s = _LINE_EVERY
         while not ended.wait(_NOTICE_EVERY):
-            if count() > before:
+            if not compiles and count() > before:
+                compiles = True
                 out.print("compiling kernels that no earlier flight here needed, once ...")
-                return
+            elapsed_s = time.perf_counter() - began
+            if elapsed_s >= next_line_s:
+                next_line_s += _LINE_EVERY
+                out.print(
+                    f"flying for {elapsed_s:.0f} s; with custom parts, the flight without a fault is flown twice ..."
+                )
 
     before = count()
+    began = time.perf_counter()
     ended = Event()
     Thread(target=notice, daemon=True).start()
     try:

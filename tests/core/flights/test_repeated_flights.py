@@ -190,3 +190,22 @@ def test_null_runs_are_compared_with_the_golden_run_of_their_arm(tmp_path):
         # what a detector that remembers in `check` leaves
         store = Store(tmp_path, connection)
         assert [run_id.rpartition("-null-")[0] for run_id in store.differing_null_runs()] == ["dense-1-null_idle"]
+
+
+@pytest.mark.parametrize(("seconds", "charged"), [(None, "0.073"), (0.5, "0.5")])
+def test_what_a_path_is_charged_as_is_said_where_a_custom_planner_flies(seconds, charged, capsys):
+    flags = ["--environment", "dense", "--seed", "1", "--goal", *map(str, GOAL), "--planner", address(OfItsOwn)]
+    if seconds is not None:
+        flags += ["--planner-latency", str(seconds)]
+    assert run(["fly", *flags]) == 0
+    text = " ".join(word for word in capsys.readouterr().out.split() if word != "│")
+    assert f":OfItsOwn: a path is charged as {charged} s of flight; here it took" in text
+    assert "--planner-latency sets it" in text
+
+
+def test_the_planner_takes_as_long_as_its_key_says():
+    times = {}
+    for seconds in (0.1, 2.0):
+        log = mavfi.fly(**MISSION, planner_latency=seconds).log
+        times[seconds] = next(event.time_us for event in log.events if event.kind == "plan")
+    assert times[2.0] - times[0.1] == 1_900_000

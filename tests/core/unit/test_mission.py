@@ -7,7 +7,13 @@ from mavfi.errors import BadInputError
 from mavfi.flight.compose import resolve
 from mavfi.mission import MissionSpec, Scenario, time_limit
 
-LATER = {"arrival_radius": 8.0, "time_limit_factor": 9.0, "latency_jitter": 1.0, "detector_place": "published"}
+LATER = {
+    "arrival_radius": 8.0,
+    "time_limit_factor": 9.0,
+    "latency_jitter": 1.0,
+    "planner_latency": 3.0,
+    "detector_place": "published",
+}
 """Keys that earlier versions did not have, at other values than their defaults."""
 
 

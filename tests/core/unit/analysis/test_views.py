@@ -99,6 +99,18 @@ def test_a_campaign_with_groups_begins_with_them():
     )
 
 
+def test_an_arm_without_a_detector_is_compared_in_one_sentence_with_golden_rates():
+    lost = [injected(seed, flown(success=seed == 1)) for seed in (1, 2, 3)]
+    saved = [injected(seed, flown(), arm="b") for seed in (1, 2, 3)]
+    saved = [replace(run, spec=replace(run.spec, detector="")) for run in saved]
+    (verdict,) = [
+        sentence for sentence in findings(runs(golden(1), *lost, *saved)) if "On the same missions" in sentence
+    ]
+    assert "b succeeds in 100.0 % [43.9, 100.0], the campaign's own mission in 33.3 % [6.1, 79.2] (n = 3)" in verdict
+    assert "b saves 2 that are lost without it and loses 0" in verdict
+    assert not any("brings back" in sentence for sentence in findings(runs(golden(1), *lost, *saved)))
+
+
 def test_tables_as_csv_and_json(two_environments):
     view = View("x", "X", ("environment",), (rate("success", "s", "success"), count("n", "n")))
     shown = view.table(two_environments)

@@ -27,6 +27,7 @@ VALUES = {
     "arrival_radius": 8.0,
     "time_limit_factor": 9.0,
     "latency_jitter": 1.0,
+    "planner_latency": 3.0,
     "depth_noise": 0.1,
     "wind": 3.0,
     "localization": "estimator",
