@@ -324,9 +324,9 @@ class FlightBranch:
                     continue  # its own detector raises an alarm at once: nothing of it could be followed
             if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(checkpoint.injector):
                 continue  # a later injector would count publications otherwise
-            key = id(checkpoint.instant)
-            if key not in is_here:
-                is_here[key] = is_at(loop, checkpoint.here)
-            if is_here[key]:
+            instant = checkpoint.here
+            if id(instant) not in is_here:
+                is_here[id(instant)] = is_at(loop, instant)
+            if is_here[id(instant)]:
                 return known_flight
         return None

@@ -13,7 +13,7 @@ import numpy as np
 from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
 from mavfi.files import is_file
-from mavfi.mission import ARRIVAL_RADIUS
+from mavfi.mission import ARRIVAL_RADIUS, Scenario
 from mavfi.plugins import load_object, parameters_of
 from mavfi.sim.environments.world import World
 from mavfi.sim.mjcf import find_vehicle
@@ -29,6 +29,11 @@ _BUILT_IN = {name: f"mavfi.sim.environments.generated:{name}" for name in _GENER
 SCAN_GENERATOR = "octomap_file"
 """Generator of scanned maps."""
 _BUILT_IN[SCAN_GENERATOR] = "mavfi.sim.environments.octomap_file:octomap_file"
+
+
+def scenario_world(scenario: Scenario) -> World:
+    """The world of a scenario; see `build_world`."""
+    return build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
 
 
 def build_world(
