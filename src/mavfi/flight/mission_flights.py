@@ -221,25 +221,25 @@ class LocalFlights(ArmFlights):
 
         # Arms without a detector are flown first: runs of arms with one may follow from theirs.
         arms = {arm for _, arm in batches}
-        flown: dict[tuple[str, Fault], Flight] = {}  # that followed from a run of another arm
+        followed: dict[tuple[str, Fault], Flight] = {}  # runs that follow from those of another arm
         for in_detector, arm in sorted(batches, key=lambda batch: batch[0]):
             remaining = {}
             for number, call_fault in batches[in_detector, arm].items():
-                if (arm, call_fault) in flown:
-                    yield number, flown[arm, call_fault]
+                if (arm, call_fault) in followed:
+                    yield number, followed[arm, call_fault]
                 else:
                     remaining[number] = call_fault
             if remaining:
-                yield from self._fly_batch(arm, remaining, arms, flown)
+                yield from self._fly_batch(arm, remaining, arms, followed)
 
     def _fly_batch(
         self,
         arm: str,
         batch: Mapping[int, CallFault],
         arms: Collection[str],
-        flown: dict[tuple[str, Fault], Flight],
+        followed: dict[tuple[str, Fault], Flight],
     ) -> Iterator[tuple[int, Flight | Exception]]:
-        """Flights with faults in instructions, by number; those of other arms that follow from them become `flown`."""
+        """Flights with faults in instructions, by number; runs of other arms that follow from them go to `followed`."""
         faults = list(batch.values())
         try:
             injected = self._fly_instruction_faults(arm, faults, arms)
@@ -249,10 +249,10 @@ class LocalFlights(ArmFlights):
                 return
             # Each is flown on its own, since nothing tells which of them raised it.
             for number, fault in batch.items():
-                yield from self._fly_batch(arm, {number: fault}, arms, flown)
+                yield from self._fly_batch(arm, {number: fault}, arms, followed)
             return
         for other_arm, flights in injected.watched.items():
-            flown.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
+            followed.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
         yield from zip(batch, injected.flights, strict=True)
 
     def _fly_instruction_faults(self, arm: str, faults: Sequence[CallFault], arms: Collection[str]) -> InjectedRuns:
