@@ -136,11 +136,10 @@ class Forks(Listener):
         if ended is None:
             assert self.child is not None  # this is the child
             is_protected = self._rewriting is not None
-            return CallResult(
-                self.child.call(
-                    variant, fault, function, args, is_protected=is_protected, calls_may_shift=self._calls_may_shift
-                )
+            result = self.child.call(
+                variant, fault, function, args, is_protected=is_protected, calls_may_shift=self._calls_may_shift
             )
+            return CallResult(result)
         case.value = variant.report()
         case.how = ended.how
         case.detail = ended.detail

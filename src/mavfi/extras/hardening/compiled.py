@@ -38,7 +38,6 @@ def code_of(module: Module) -> bytes:
     Calls with many arguments take time, which pays for a part of the shadows.  After inlining, results of calls are put
     into registers and loops are tested at their end.  Other passes are not run: they might take a shadow for its
     original where both have been compared, or compute both by one instruction.  None is run on plain code.
-
     """
     text = text_of(module)
     blocks = (block for function in module.functions for block in function.blocks)
