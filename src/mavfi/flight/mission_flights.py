@@ -32,7 +32,6 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import ENTRIES
 from mavfi.sim.controller import is_rewindable
 from mavfi.sim.simulator import Simulator
-from mavfi.states import State
 
 
 class LocalHost(Host):
@@ -326,8 +325,11 @@ def fly_recorded(
 
     # In one process, from take-off.
     publications: list[Published] = []
-
-    def note(state: State, time_us: int) -> None:
-        publications.append((state.copy(), time_us))
-
-    return fly(scenario, fault, detector, recovery=recovery, recorders=(note,)), publications
+    flight = fly(
+        scenario,
+        fault,
+        detector,
+        recovery=recovery,
+        recorders=[lambda state, time_us: publications.append((state.copy(), time_us))],
+    )
+    return flight, publications

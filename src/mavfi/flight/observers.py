@@ -47,7 +47,7 @@ class ObserverListener(Listener):
     def begin(self, loop: Loop) -> None:
         """See `Listener`."""
         self._loop = loop
-        self._items_shown = [0, 0, 0]
+        self._shown_counts = [0, 0, 0]  # of injections, events and alarms
         self._began = time.monotonic()
         self._observer.begin(loop)
 
@@ -58,18 +58,14 @@ class ObserverListener(Listener):
     def after_tick(self, now: int) -> None:
         """See `Listener`."""
         loop = self._loop
-        self._observer.tick(loop.record.rows[-1], _new_items(loop, self._items_shown), loop.status)
+        self._observer.tick(loop.record.rows[-1], self._new_items(), loop.status)
         if self._pace > 0 and loop.status is None:
             time.sleep(max(0.0, self._began + 1e-6 * now / self._pace - time.monotonic()))
 
-
-def _new_items(loop: Loop, seen: list[int]) -> list[FlightItem]:
-    """Items since the last call; `seen` counts the earlier ones, by table, and is updated."""
-    injections: Any = getattr(loop.taps.injector, "injections", ())
-    tables = (injections, loop.record.events, loop.record.alarms)
-    counts = [len(table) for table in tables]
-    if counts == seen:
-        return []
-    items = [item for table, count in zip(tables, seen, strict=True) for item in table[count:]]
-    seen[:] = counts
-    return items
+    def _new_items(self) -> list[FlightItem]:
+        """Items since the last call."""
+        injections: Any = getattr(self._loop.taps.injector, "injections", ())
+        tables = (injections, self._loop.record.events, self._loop.record.alarms)
+        items = [item for table, count in zip(tables, self._shown_counts, strict=True) for item in table[count:]]
+        self._shown_counts = [len(table) for table in tables]
+        return items

@@ -294,27 +294,31 @@ def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str
         # The two parts of the change, each with the weights of its golden runs.
         with_setting = [golden_runs[counted_arm, world]["run_id"] for world in kernel_pairs["world"]]
         without_arm = [golden_runs["", world]["run_id"] for world in kernel_pairs["world"]]
-        instructions = counts[counted_arm][kernel], counts[""].get(kernel, 0.0)
-        parts_by_kernel[kernel] = _changed(kernel_pairs, kernel, instructions, with_setting, without_arm)
+        executed = counts[counted_arm][kernel]
+        executed_without = counts[""].get(kernel, 0.0)
+        parts_by_kernel[kernel] = _changed(kernel_pairs, kernel, executed, executed_without, with_setting, without_arm)
     return [part for parts in parts_by_kernel.values() for part in parts]
 
 
 def _changed(
-    pairs: Runs, kernel: str, instructions: tuple[float, float], with_setting: Sequence[str], without_arm: Sequence[str]
+    pairs: Runs,
+    kernel: str,
+    executed: float,
+    executed_without: float,
+    with_setting: Sequence[str],
+    without_arm: Sequence[str],
 ) -> list[ExposedKernel]:
     """The parts of `_changes` of a kernel, from instructions and golden runs with the setting and without an arm."""
     worlds = pairs["world"]
     fault_alone = pairs["fi_success"]
     weights = _weights(pairs, kernel, with_setting, worlds)
     harm_change = paired_difference(fault_alone, pairs["dr_success"], worlds, weights)
-    with_setting_count, without_arm_count = instructions
-    parts = [ExposedKernel(with_setting_count, harm_change)]
-    if without_arm_count:
-        added = with_setting_count - without_arm_count
-        if added:
-            weights = _weights(pairs, kernel, without_arm, worlds)
-            harm = paired_difference([True] * len(pairs), fault_alone, worlds, weights)
-            parts.append(ExposedKernel(added, harm))
+    parts = [ExposedKernel(executed, harm_change)]
+    # The harm in added instructions; none are known if those without an arm were not counted.
+    if executed_without not in (0.0, executed):
+        weights = _weights(pairs, kernel, without_arm, worlds)
+        harm = paired_difference([True] * len(pairs), fault_alone, worlds, weights)
+        parts.append(ExposedKernel(executed - executed_without, harm))
     return parts
 
 
