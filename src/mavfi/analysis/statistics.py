@@ -75,10 +75,12 @@ class Estimate:
     low: float
     high: float
 
-    def times(self, factor: float) -> "Estimate":
-        """The estimate scaled by a factor."""
-        low, high = sorted((factor * self.low, factor * self.high))
-        return Estimate(factor * self.value, low, high)
+    def times(self, factor: "float | Estimate") -> "Estimate":
+        """The estimate scaled by a factor; the bounds of an uncertain factor widen the interval."""
+        if not isinstance(factor, Estimate):
+            factor = Estimate(factor, factor, factor)
+        products = [bound * scale for bound in (self.low, self.high) for scale in (factor.low, factor.high)]
+        return Estimate(self.value * factor.value, min(products), max(products))
 
     def not_negative(self) -> "Estimate":
         """The estimate of a value that cannot be negative: value and interval are cut at 0, which loses no coverage."""

@@ -7,6 +7,13 @@ from mavfi.record import Injection
 ABSENT = "—"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun, in the plural unless it is 1."""
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} {noun}s"
+
+
 def percent(share: float | None, digits: int = 1) -> str:
     """A share as per cent."""
     if share is None:

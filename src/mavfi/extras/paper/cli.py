@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import completion, options
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import PICTURES, check_file, check_number, console, say_written, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.files import check_folder, is_file
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from mavfi.extras.paper.study import Study
     from mavfi.mission import MissionSpec
 
-
-from mavfi.cli.console import PICTURES, check_file, say_written
-
 HELP_PANEL = "Campaigns"
 MODELS = "models"
 """Subfolder of the study for the trained models."""
@@ -33,6 +30,9 @@ PAGE = "report.html"
 FLIGHTS_EACH = 5
 """Name of the study's page, and its number of flights of each campaign: 1.5 MB and less than a minute of two
 processors for the paper's study; `mavfi report DIR --html FILE --flights N` writes it with more."""
+MIN_TARGET = 1e-30
+MAX_TARGET = 1e6
+"""Failures per flight hour of `mavfi failures --show`."""
 TIMED = "overheads_as_in_the_paper"
 TIMED_FLIGHTS = 3
 """View whose overheads are measured, and golden flights per environment and detector for it."""
@@ -239,6 +239,10 @@ def failures(
     upsets: Annotated[
         str, typer.Option(metavar="NAME|FILE.yaml", help="Upset rates: shipped (configs/upsets), or your own.")
     ] = "low_altitude",
+    show: Annotated[
+        float | None,
+        typer.Option(metavar="RATE", help="Is this rate shown? How many faults would, and what widens its bound most."),
+    ] = None,
 ) -> None:
     """Compare settings by failures per flight hour.
 
@@ -251,15 +255,20 @@ def failures(
     from rich.text import Text
 
     from mavfi.analysis.runs import Runs
-    from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary
+    from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary, target_lines
     from mavfi.report.text import show_table
 
+    check_number("--show", show, MIN_TARGET, MAX_TARGET)
     chosen = find_upsets(upsets)
     runs = Runs.read(directory)
     table = failure_table(runs, chosen)
     if not table.rows:
         raise BadInputError(f"{directory}: {_why_no_failures(runs)}; `mavfi campaign run failure_rate` flies such ones")
     out = console()
+    if show is not None:
+        for line in target_lines(runs, chosen, show):
+            out.print(Text(line))
+        return
     for sentence in summary(runs, chosen):
         out.print(Text(sentence))
     out.print()
