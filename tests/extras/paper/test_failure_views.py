@@ -158,12 +158,15 @@ def test_a_target_says_how_many_faults_show_it_and_what_widens_the_bound():
     own = faults_in_pid(20)
     upsets = find_upsets()
     highest = upsets_per_instruction(upsets).high
-    shown, dominant = target_lines(own, upsets, 20 * 0.5 * highest)
+    shown, dominant, assumed = target_lines(own, upsets, 20 * 0.5 * highest)
     assert "fi: fewer than" in shown and ": shown, at most" in shown
-    assert dominant.startswith("  What widens the bound most: the harm of pid, 0.0% to 16.1% (20 faults); without it 0")
+    assert dominant.startswith(
+        "  What widens the bound most: the harm of pid, 0.0 % to 16.1 % (20 faults); without it 0"
+    )
+    assert assumed.startswith("Assumed, without a band: 0.05 Mbit unprotected")
     # none of n lost has the upper bound z2 / (n + z2), which is below 1 % from n = 381 on
-    (not_shown, _) = target_lines(own, upsets, 20 * 0.01 * highest)
-    assert "About 381 faults in each kernel show it (361 more), if harm stays the same." in not_shown
+    (not_shown, *_) = target_lines(own, upsets, 20 * 0.01 * highest)
+    assert "About 381 faults in each kernel would show it (361 more), if harm stays the same." in not_shown
     never, dominant, *_ = target_lines(campaign(), upsets, 1e-21)
     assert "fi: fewer than 1e-21" in never and "No number of faults shows it" in never
-    assert "the harm of pid, 0.0% to 68.7% (10 faults)" in dominant
+    assert "the harm of pid, 3.8 % to 68.7 % (10 faults)" in dominant

@@ -23,7 +23,7 @@ from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
 from mavfi.config import Config, shipped
 from mavfi.plugins import Chapter
-from mavfi.report.numbers import counted
+from mavfi.report.numbers import counted, percent
 from mavfi.report.text import cell
 from mavfi.states import DETECTORS, PLANNERS
 
@@ -571,7 +571,8 @@ def target_lines(runs: Runs, upsets: UpsetConfig, target: float) -> list[str]:
             answer = f"shown, {reached} ({_number_of(kernels)})."
         lines.append(f"{environment}, {setting}: fewer than {target:g} failures per flight hour: {answer}")
         lines.append(f"  {_dominant_assumption(kernels, upsets)}")
-    return lines
+    assumed = f"{upsets.unprotected_mbit:g} Mbit unprotected, {upsets.visible:g} of the upsets visible"
+    return [*lines, f"Assumed, without a band: {assumed}, {upsets.instructions_per_second:.1e} instructions/s."]
 
 
 def _number_of(kernels: Mapping[str, KernelFaults]) -> str:
@@ -606,7 +607,7 @@ def _needed_faults(kernels: Mapping[str, KernelFaults], upset: float, target: fl
         else:
             too_small = middle
     more = sum(max(0, enough - len(faults.run_ids)) for faults in kernels.values())
-    return f"About {enough:,} faults in each kernel show it ({more:,} more), if harm stays the same."
+    return f"About {enough:,} faults in each kernel would show it ({more:,} more), if harm stays the same."
 
 
 _MOST_FAULTS = 10_000_000
@@ -639,12 +640,8 @@ def _dominant_assumption(kernels: Mapping[str, KernelFaults], upsets: UpsetConfi
         part = faults.exposed.without_negative_harm()
         exact = Estimate(part.harm.value, part.harm.value, part.harm.value)
         known = {**kernels, name: KernelFaults(faults.run_ids, ExposedKernel(part.instructions, exact))}
-        label = (
-            f"the harm of {name}, {part.harm.low:.1%} to {part.harm.high:.1%} ({counted(len(faults.run_ids), 'fault')})"
-        )
+        harm = f"{percent(part.harm.low)} to {percent(part.harm.high)}"
+        label = f"the harm of {name}, {harm} ({counted(len(faults.run_ids), 'fault')})"
         bounds[label] = _caused(known, highest).high
     dominant = min(bounds, key=lambda label: bounds[label])
-    return (
-        f"What widens the bound most: {dominant}; without it {bounds[dominant]:.1e}. Assumed without a band: "
-        f"{upsets.unprotected_mbit:g} Mbit unprotected, {upsets.visible:g} of upsets visible."
-    )
+    return f"What widens the bound most: {dominant}; without it {bounds[dominant]:.1e}."
