@@ -70,12 +70,16 @@ def _small(value: float) -> str:
 
 
 def _difference(rate: Rate) -> str:
-    """A difference in per cent, or in points of it, with its interval, shortened where it is wide."""
+    """A difference in per cent, or in points of it, if its interval shows one; the interval, shortened where wide."""
     if rate.rate is None:
         return ABSENT
     text = f"{100 * rate.rate:+z.1f}"
     if rate.low is None or rate.high is None:
-        return text
+        return f"{text} [?]"
+    if rate.low == rate.high == 0.0:
+        return "equal"
+    if rate.low <= 0.0 <= rate.high:
+        text = "not shown"
     low, high = (f"{100 * bound:z.{int(abs(bound) < 0.1)}f}" for bound in (rate.low, rate.high))
     return f"{text} [{low}, {high}]"
 
