@@ -13,10 +13,10 @@ from typing import Any
 import polars as pl
 
 from mavfi.analysis.effects import has_verdicts
-from mavfi.analysis.measures import rate_of
+from mavfi.analysis.measures import rate_of, word_weights
 from mavfi.analysis.rows import GOLDEN, NULL
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Rate, paired_difference, relative_difference, unpaired_difference
+from mavfi.analysis.statistics import Rate, paired_difference, relative_difference, unpaired_difference, wilson
 from mavfi.analysis.table import DIFFERENCE, NUMBER, PERCENT, TEXT, Column, Table
 from mavfi.campaign.plan import FI
 from mavfi.errors import BadInputError
@@ -180,6 +180,21 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
     for name, runs in (("A", runs_a), ("B", runs_b)):
         if not runs.has_missions and not has_verdicts(runs):
             raise BadInputError(f"{name}: its runs are no missions, which succeed or fail; allowed: campaigns that fly")
+    samples, notes = shared_samples(runs_a, runs_b)
+    groups = _groups(samples)
+    return CampaignComparison(_answer(groups), groups, _differing(runs_a, runs_b), tuple(notes))
+
+
+SettingSamples = Sequence[tuple[tuple[Any, ...], "Sample"]]
+"""Compared runs by (environment, setting)."""
+
+
+def shared_samples(runs_a: Runs, runs_b: Runs) -> tuple[SettingSamples, Sequence[str]]:
+    """What two campaigns have in common, and notes on what is not compared.
+
+    Raises:
+        BadInputError: Nothing.
+    """
     notes = [*_progress_notes("A", runs_a), *_progress_notes("B", runs_b)]
     judged_a = runs_a.where("judged", pl.col("kind") != NULL)
     judged_b = runs_b.where("judged", pl.col("kind") != NULL)
@@ -206,7 +221,7 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
     notes += _only_in("B", groups_b, groups_a)
     samples = []
     for key in common:
-        sample = _Sample.of(groups_a[key], groups_b[key])
+        sample = Sample.of(groups_a[key], groups_b[key])
         if not sample.paired and not same_draws and groups_a[key].first("kind") != GOLDEN:
             notes.append(f"{' '.join(key)}: no shared faults, not compared")
             continue
@@ -218,8 +233,7 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
     left_out = sum(sample.left_out for _, sample in samples)
     if left_out:
         notes.append(f"{left_out} runs have no partner (another seed, or the draw hit another bit), and are left out")
-    groups = _groups(samples)
-    return CampaignComparison(_answer(groups), groups, _differing(runs_a, runs_b), tuple(notes))
+    return samples, notes
 
 
 # ---- what can be compared --------------------------------------------------------------------------------------------
@@ -299,7 +313,7 @@ def _flat(campaign: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, An
 
 
 @dataclass(frozen=True, slots=True)
-class _Sample:
+class Sample:
     """Compared runs: with pairs, both have as many, in the same order; `left_out`: runs without a partner."""
 
     a: Runs
@@ -308,15 +322,14 @@ class _Sample:
     left_out: int = 0
 
     @staticmethod
-    def of(runs_a: Runs, runs_b: Runs) -> "_Sample":
-        """Pair the runs of a group, if enough of them have a partner."""
-        key = [*_MISSION, *_FAULT]
+    def of(runs_a: Runs, runs_b: Runs, key: Sequence[str] = (*_MISSION, *_FAULT)) -> "Sample":
+        """Pair the runs of a group that have equal columns `key`, if enough of them have a partner."""
         columns_a = runs_a.frame.select(*key, row_a=pl.int_range(pl.len()))
         columns_b = runs_b.frame.select(*key, row_b=pl.int_range(pl.len()))
         pairs = columns_a.join(columns_b, on=key, nulls_equal=True, maintain_order="left")
         if pairs.height < _SHARED * min(len(runs_a), len(runs_b)):
-            return _Sample(runs_a, runs_b, paired=False)
-        return _Sample(
+            return Sample(runs_a, runs_b, paired=False)
+        return Sample(
             replace(runs_a, frame=runs_a.frame[pairs["row_a"]]),
             replace(runs_b, frame=runs_b.frame[pairs["row_b"]]),
             paired=True,
@@ -324,14 +337,29 @@ class _Sample:
         )
 
     @staticmethod
-    def joined(samples: Sequence["_Sample"]) -> "_Sample":
+    def joined(samples: Sequence["Sample"]) -> "Sample":
         """The runs of several groups; pairs only if all are."""
         first = samples[0]
-        return _Sample(
+        return Sample(
             replace(first.a, frame=pl.concat([sample.a.frame for sample in samples])),
             replace(first.b, frame=pl.concat([sample.b.frame for sample in samples])),
             paired=all(sample.paired for sample in samples),
         )
+
+
+def difference(sample: Sample, test: pl.Expr) -> Rate:
+    """Difference of the shares of runs that pass a test, A - B; over whole words if strata of bits partition them."""
+    a = sample.a
+    b = sample.b
+    passed_a = a.frame.select(test.alias("passed"))["passed"].to_list()
+    passed_b = b.frame.select(test.alias("passed"))["passed"].to_list()
+    if not len(a) or not len(b):
+        return wilson(0, 0)
+    if sample.paired:
+        estimate = paired_difference(passed_a, passed_b, a["world"], word_weights(a))
+    else:
+        estimate = unpaired_difference(passed_a, a["world"], passed_b, b["world"])
+    return Rate(len(a), estimate.value, estimate.low, estimate.high)
 
 
 def _answer(groups: Sequence[ComparedGroup]) -> ComparedGroup:
@@ -341,20 +369,20 @@ def _answer(groups: Sequence[ComparedGroup]) -> ComparedGroup:
     return [*without_detector, *with_fault, *groups][0]
 
 
-def _groups(samples: Sequence[tuple[tuple[Any, ...], _Sample]]) -> tuple[ComparedGroup, ...]:
+def _groups(samples: Sequence[tuple[tuple[Any, ...], Sample]]) -> tuple[ComparedGroup, ...]:
     """By setting: over all environments if there are several, then each."""
-    by_setting: dict[str, dict[str, _Sample]] = {}
+    by_setting: dict[str, dict[str, Sample]] = {}
     for (environment, setting), sample in samples:
         by_setting.setdefault(setting, {})[environment] = sample
     groups = []
     for setting, by_environment in by_setting.items():
         if len(by_environment) > 1:
-            groups.append(_compared(ALL, setting, _Sample.joined(list(by_environment.values()))))
+            groups.append(_compared(ALL, setting, Sample.joined(list(by_environment.values()))))
         groups += [_compared(environment, setting, sample) for environment, sample in by_environment.items()]
     return tuple(groups)
 
 
-def _compared(environment: str, setting: str, sample: _Sample) -> ComparedGroup:
+def _compared(environment: str, setting: str, sample: Sample) -> ComparedGroup:
     """The differences of a sample."""
     a = sample.a
     b = sample.b
@@ -421,7 +449,7 @@ def _failures_sentence(group: ComparedGroup) -> str:
         return f"{where}: no difference in failures is shown: {points}, on {on}: {shares}."
     change = f"{difference.percent} more"
     if difference.high < 0:
-        change = f"{_negative(difference).percent} fewer"
+        change = f"{difference.negative.percent} fewer"
     return f"{where}: B fails {change} missions than A, on {on}: {shares}."
 
 
@@ -444,12 +472,5 @@ def _relative(change: Rate, more: str, less: str) -> str:
     if change.low <= 0.0 <= change.high:
         return f"not shown to differ, {change.interval} %"
     if change.rate < 0:
-        return f"{_negative(change).percent} {less}"
+        return f"{change.negative.percent} {less}"
     return f"{change.percent} {more}"
-
-
-def _negative(difference: Rate) -> Rate:
-    """The difference with the other sign; it has an interval."""
-    return replace(
-        difference, rate=-(difference.rate or 0.0), low=-(difference.high or 0.0), high=-(difference.low or 0.0)
-    )

@@ -47,6 +47,13 @@ class Rate:
             return ""
         return f"{100 * self.rate:.1f} % {self.interval}"
 
+    @property
+    def negative(self) -> "Rate":
+        """The difference with the other sign; itself without an interval."""
+        if self.rate is None or self.low is None or self.high is None:
+            return self
+        return replace(self, rate=-self.rate, low=-self.high, high=-self.low)
+
 
 @dataclass(frozen=True, slots=True)
 class EventRate:
