@@ -97,7 +97,7 @@ def separable_note(runs: Runs) -> list[str]:
 def _points(share: float | None) -> str:
     if share is None:
         return "—"
-    return f"{100 * share:.0f}"
+    return f"{100 * min(share, 1.0):.0f}"
 
 
 def of_missions(runs: Runs) -> Runs:

@@ -14,6 +14,7 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.files import is_file
 from mavfi.plugins import known, load_object, use_ledger
+from mavfi.report.numbers import upper_percent
 
 if TYPE_CHECKING:
     from mavfi.analysis.requirements import RequirementVerdict
@@ -303,7 +304,7 @@ def verify(
     check_seed("--seed", seed)
     with Bar("replay", "runs") as bar:
         sample = verify_runs(directory, share, seed, bar.show)
-    bound = f"at most {100 * sample.upper_bound:.2g} % of the {sample.runs} records are wrong (95 % confidence)"
+    bound = f"at most {upper_percent(sample.upper_bound)} of the {sample.runs} records are wrong (95 % confidence)"
     if as_json:
         write_json({**asdict(sample), "upper_bound": sample.upper_bound})
     elif not sample.differing:
