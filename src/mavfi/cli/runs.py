@@ -35,7 +35,7 @@ def runs(
     from mavfi.analysis.runs import Runs
     from mavfi.report.text import show_table
 
-    table = listing(Runs.read(directory), failed=failed)
+    table = listing(Runs.read(directory), failed=failed, in_words=not as_csv and not as_json)
     if as_csv:
         typer.echo(table.to_csv(), nl=False)
     elif as_json:
