@@ -13,19 +13,15 @@ from typing import Any
 import polars as pl
 
 from mavfi.analysis.effects import has_verdicts
-from mavfi.analysis.measures import rate_of
+from mavfi.analysis.measures import rate_of, word_weights
 from mavfi.analysis.rows import GOLDEN, NULL
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Rate, paired_difference, relative_difference, unpaired_difference
+from mavfi.analysis.statistics import Rate, paired_difference, relative_difference, unpaired_difference, wilson
 from mavfi.analysis.table import DIFFERENCE, NUMBER, PERCENT, TEXT, Column, Table
+from mavfi.campaign.plan import FI
 from mavfi.errors import BadInputError
 from mavfi.record import plain
 
-WITH_A_FAULT = "with a fault"
-WITHOUT_A_FAULT = "without a fault"
-"""Setting of the row over all settings with faults, or without."""
-_IN_WORDS = {GOLDEN: f" {WITHOUT_A_FAULT}", WITHOUT_A_FAULT: f" {WITHOUT_A_FAULT}"}
-"""Settings in sentences, with the space before; others are with a fault."""
 _SHARED = 0.5
 _MISSION = ("environment", "seed", "setting")
 _FAULT = ("target", "index", "level", "site", "bit", "stratum")
@@ -45,7 +41,8 @@ class ComparedGroup:
 
     Attributes:
         environment: Name, or `ALL`.
-        setting: Setting, or `WITH_A_FAULT`.
+        setting: Setting, e.g. fi.
+        has_fault: Whether its runs have a fault.
         paired: Whether runs are compared in pairs.
         n_a: Compared runs of A; of both if in pairs.
         n_b: Compared runs of B.
@@ -60,6 +57,7 @@ class ComparedGroup:
 
     environment: str
     setting: str
+    has_fault: bool
     paired: bool
     n_a: int
     n_b: int
@@ -77,7 +75,7 @@ class CampaignComparison:
     """Two campaigns, A and B.
 
     Attributes:
-        answer: Over all environments and settings: of runs with a fault, or without one if there are no others.
+        answer: The headline: one setting over all environments; fi, else the first with a fault, else the first.
         groups: By setting: over all environments if there are several, then each.
         differing: What distinguishes the campaigns, by key: the values of A and B.
         notes: What is not compared, and why.
@@ -99,7 +97,23 @@ class CampaignComparison:
         if self.are_same:
             shared = sum(group.n_a for group in self.groups if group.environment != ALL)  # without totals
             return [f"B flies as A: all {shared} shared runs are equal bit for bit."]
-        return [_failures_sentence(self.answer), _cost_sentence(self.answer)]
+        failures = _failures_sentence(self.answer)
+        golden = self._golden_of_answer
+        if self.answer.has_fault and golden is not None:
+            failures = (
+                f"{failures[:-1]}; without a fault A fails {golden.failed_a.percent}, B {golden.failed_b.percent}."
+            )
+        return [failures, _cost_sentence(self.answer)]
+
+    @property
+    def _golden_of_answer(self) -> ComparedGroup | None:
+        """The runs of the answer's arm without a fault, if they are compared."""
+        arm = self.answer.setting.removeprefix("dr_")
+        settings = (f"{GOLDEN}_{arm}", GOLDEN)
+        golden = [group for group in self.groups if group.setting in settings]
+        golden = [group for group in golden if group.environment == self.answer.environment]
+        golden.sort(key=lambda group: settings.index(group.setting))
+        return next(iter(golden), None)
 
     def __repr__(self) -> str:
         return "\n".join(self.sentences)
@@ -124,23 +138,24 @@ class CampaignComparison:
             Column("missions", "missions", NUMBER, hidden=True),
             Column("paired", "paired", TEXT, hidden=True),
         )
-        groups = self.groups
-        if self.answer not in groups:
-            groups = (self.answer, *groups)
         rows = []
         setting = ""
-        for group in groups:
+        for group in self.groups:
             cells: dict[str, Any] = {key: getattr(group, key) for key in ComparedGroup.__slots__}
             # Environments stand below the row of their setting.
             cells["row"] = group.setting
             if group.setting == setting:
                 cells["row"] = f"· {group.environment}"
             setting = group.setting
+            if group.same == group.n_a:
+                cells |= dict.fromkeys(("failures", "flight_time", "energy"), "all equal")
             cells["runs"] = str(group.n_a)
             if not group.paired:
                 cells["runs"] = f"{group.n_a}/{group.n_b}"
             rows.append(tuple(cells[column.key] for column in columns))
-        return Table("compare", "B - A, with 95 % intervals", columns, rows, notes=self.notes)
+        return Table(
+            "compare", "B - A, with 95 % intervals; not shown: they contain 0", columns, rows, notes=self.notes
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -165,6 +180,21 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
     for name, runs in (("A", runs_a), ("B", runs_b)):
         if not runs.has_missions and not has_verdicts(runs):
             raise BadInputError(f"{name}: its runs are no missions, which succeed or fail; allowed: campaigns that fly")
+    samples, notes = shared_samples(runs_a, runs_b)
+    groups = _groups(samples)
+    return CampaignComparison(_answer(groups), groups, _differing(runs_a, runs_b), tuple(notes))
+
+
+SettingSamples = Sequence[tuple[tuple[Any, ...], "Sample"]]
+"""Compared runs by (environment, setting)."""
+
+
+def shared_samples(runs_a: Runs, runs_b: Runs) -> tuple[SettingSamples, Sequence[str]]:
+    """What two campaigns have in common, and notes on what is not compared.
+
+    Raises:
+        BadInputError: Nothing.
+    """
     notes = [*_progress_notes("A", runs_a), *_progress_notes("B", runs_b)]
     judged_a = runs_a.where("judged", pl.col("kind") != NULL)
     judged_b = runs_b.where("judged", pl.col("kind") != NULL)
@@ -191,7 +221,7 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
     notes += _only_in("B", groups_b, groups_a)
     samples = []
     for key in common:
-        sample = _Sample.of(groups_a[key], groups_b[key])
+        sample = Sample.of(groups_a[key], groups_b[key])
         if not sample.paired and not same_draws and groups_a[key].first("kind") != GOLDEN:
             notes.append(f"{' '.join(key)}: no shared faults, not compared")
             continue
@@ -203,7 +233,7 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
     left_out = sum(sample.left_out for _, sample in samples)
     if left_out:
         notes.append(f"{left_out} runs have no partner (another seed, or the draw hit another bit), and are left out")
-    return CampaignComparison(_answer(samples), _groups(samples), _differing(runs_a, runs_b), tuple(notes))
+    return samples, notes
 
 
 # ---- what can be compared --------------------------------------------------------------------------------------------
@@ -283,7 +313,7 @@ def _flat(campaign: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, An
 
 
 @dataclass(frozen=True, slots=True)
-class _Sample:
+class Sample:
     """Compared runs: with pairs, both have as many, in the same order; `left_out`: runs without a partner."""
 
     a: Runs
@@ -292,15 +322,14 @@ class _Sample:
     left_out: int = 0
 
     @staticmethod
-    def of(runs_a: Runs, runs_b: Runs) -> "_Sample":
-        """Pair the runs of a group, if enough of them have a partner."""
-        key = [*_MISSION, *_FAULT]
+    def of(runs_a: Runs, runs_b: Runs, key: Sequence[str] = (*_MISSION, *_FAULT)) -> "Sample":
+        """Pair the runs of a group that have equal columns `key`, if enough of them have a partner."""
         columns_a = runs_a.frame.select(*key, row_a=pl.int_range(pl.len()))
         columns_b = runs_b.frame.select(*key, row_b=pl.int_range(pl.len()))
         pairs = columns_a.join(columns_b, on=key, nulls_equal=True, maintain_order="left")
         if pairs.height < _SHARED * min(len(runs_a), len(runs_b)):
-            return _Sample(runs_a, runs_b, paired=False)
-        return _Sample(
+            return Sample(runs_a, runs_b, paired=False)
+        return Sample(
             replace(runs_a, frame=runs_a.frame[pairs["row_a"]]),
             replace(runs_b, frame=runs_b.frame[pairs["row_b"]]),
             paired=True,
@@ -308,46 +337,52 @@ class _Sample:
         )
 
     @staticmethod
-    def joined(samples: Sequence["_Sample"]) -> "_Sample":
+    def joined(samples: Sequence["Sample"]) -> "Sample":
         """The runs of several groups; pairs only if all are."""
         first = samples[0]
-        return _Sample(
+        return Sample(
             replace(first.a, frame=pl.concat([sample.a.frame for sample in samples])),
             replace(first.b, frame=pl.concat([sample.b.frame for sample in samples])),
             paired=all(sample.paired for sample in samples),
         )
 
 
-def _answer(samples: Sequence[tuple[tuple[Any, ...], _Sample]]) -> ComparedGroup:
-    """All runs with a fault, or without one if there are no others; a single setting keeps its name."""
-    members = [(setting, sample) for (_, setting), sample in samples if sample.a.first("kind") != GOLDEN]
-    name = WITH_A_FAULT
-    if not members:
-        members = [(setting, sample) for (_, setting), sample in samples]
-        name = WITHOUT_A_FAULT
-    settings = {setting for setting, _ in members}
-    if len(settings) == 1:
-        (name,) = settings
-    environment = ALL
-    if len(samples) == len({setting for (_, setting), _ in samples}):
-        environment = samples[0][0][0]
-    return _compared(environment, name, _Sample.joined([sample for _, sample in members]))
+def difference(sample: Sample, test: pl.Expr) -> Rate:
+    """Difference of the shares of runs that pass a test, A - B; over whole words if strata of bits partition them."""
+    a = sample.a
+    b = sample.b
+    passed_a = a.frame.select(test.alias("passed"))["passed"].to_list()
+    passed_b = b.frame.select(test.alias("passed"))["passed"].to_list()
+    if not len(a) or not len(b):
+        return wilson(0, 0)
+    if sample.paired:
+        estimate = paired_difference(passed_a, passed_b, a["world"], word_weights(a))
+    else:
+        estimate = unpaired_difference(passed_a, a["world"], passed_b, b["world"])
+    return Rate(len(a), estimate.value, estimate.low, estimate.high)
 
 
-def _groups(samples: Sequence[tuple[tuple[Any, ...], _Sample]]) -> tuple[ComparedGroup, ...]:
+def _answer(groups: Sequence[ComparedGroup]) -> ComparedGroup:
+    """One setting over all environments, which come first: fi, else the first with a fault, else the first."""
+    without_detector = [group for group in groups if group.setting == FI]
+    with_fault = [group for group in groups if group.has_fault]
+    return [*without_detector, *with_fault, *groups][0]
+
+
+def _groups(samples: Sequence[tuple[tuple[Any, ...], Sample]]) -> tuple[ComparedGroup, ...]:
     """By setting: over all environments if there are several, then each."""
-    by_setting: dict[str, dict[str, _Sample]] = {}
+    by_setting: dict[str, dict[str, Sample]] = {}
     for (environment, setting), sample in samples:
         by_setting.setdefault(setting, {})[environment] = sample
     groups = []
     for setting, by_environment in by_setting.items():
         if len(by_environment) > 1:
-            groups.append(_compared(ALL, setting, _Sample.joined(list(by_environment.values()))))
+            groups.append(_compared(ALL, setting, Sample.joined(list(by_environment.values()))))
         groups += [_compared(environment, setting, sample) for environment, sample in by_environment.items()]
     return tuple(groups)
 
 
-def _compared(environment: str, setting: str, sample: _Sample) -> ComparedGroup:
+def _compared(environment: str, setting: str, sample: Sample) -> ComparedGroup:
     """The differences of a sample."""
     a = sample.a
     b = sample.b
@@ -370,6 +405,7 @@ def _compared(environment: str, setting: str, sample: _Sample) -> ComparedGroup:
     return ComparedGroup(
         environment,
         setting,
+        a.first("kind") != GOLDEN,
         sample.paired,
         len(a),
         len(b),
@@ -395,52 +431,46 @@ def _cost(a: Runs, b: Runs, column: str) -> Rate:
 
 def _failures_sentence(group: ComparedGroup) -> str:
     """How much less, or more, often B fails than A."""
-    faults = _IN_WORDS.get(group.setting, f" {WITH_A_FAULT}")
-    on = f"{group.n_a} runs{faults} of A and {group.n_b} of B, none of them shared"
+    kind = "runs without a fault"
+    if group.has_fault:
+        kind = "runs with a fault"
+    where = group.setting
+    if group.environment != ALL:
+        where = f"{group.environment}, {where}"
+    on = f"{group.n_a} {kind} of A and {group.n_b} of B, none of them shared"
     if group.paired:
-        on = f"{group.n_a} shared runs{faults} in {group.missions} missions"
-    shares = f"A fails {_percent(group.failed_a.rate)}, B {_percent(group.failed_b.rate)}"
+        on = f"{group.n_a} shared {kind} in {group.missions} missions"
+    shares = f"A fails {group.failed_a.percent}, B {group.failed_b.percent}"
     if group.same:
         shares += f"; {group.same} runs are equal bit for bit"
     difference = group.failures
     if difference.low is None or difference.high is None or difference.low <= 0 <= difference.high:
         points = f"{100 * (difference.rate or 0.0):+.1f} points {difference.interval or '[?]'}"
-        return f"No difference in failures is shown: {points}, on {on}: {shares}."
-    word = "more"
-    amount = difference
+        return f"{where}: no difference in failures is shown: {points}, on {on}: {shares}."
+    change = f"{difference.percent} more"
     if difference.high < 0:
-        word = "fewer"
-        amount = _negative(difference)
-    return f"B fails {_percent(amount.rate)} {amount.interval or '[?]'} {word} missions than A, on {on}: {shares}."
+        change = f"{difference.negative.percent} fewer"
+    return f"{where}: B fails {change} missions than A, on {on}: {shares}."
 
 
 def _cost_sentence(group: ComparedGroup) -> str:
     """What flight time and energy differ by, of missions that succeed."""
-    subject = "Where missions succeed"
+    subject = f"Where missions succeed ({group.flight_time.n} or more of each)"
     if group.paired:
-        subject = "Where both succeed"
+        subject = f"Where both succeed (n = {group.flight_time.n})"
     time = _relative(group.flight_time, "longer", "shorter")
     energy = _relative(group.energy, "more", "less")
-    return f"{subject}, B flies {time} and needs {energy} energy."
+    return f"{subject}, the flight time of B is {time}, its energy {energy}."
 
 
 def _relative(change: Rate, more: str, less: str) -> str:
     """A relative change in words."""
     if change.rate is None:
-        return f"(not measured) {more}"
+        return "not measured"
+    if change.low is None or change.high is None:
+        return f"not shown to differ, {100 * change.rate:+z.1f} % [?]"
+    if change.low <= 0.0 <= change.high:
+        return f"not shown to differ, {change.interval} %"
     if change.rate < 0:
-        smaller = _negative(change)
-        return f"{_percent(smaller.rate)} {smaller.interval or '[?]'} {less}"
-    return f"{_percent(change.rate)} {change.interval or '[?]'} {more}"
-
-
-def _negative(difference: Rate) -> Rate:
-    """The difference with the other sign."""
-    if difference.rate is None or difference.low is None or difference.high is None:
-        return replace(difference, rate=-(difference.rate or 0.0))
-    return replace(difference, rate=-difference.rate, low=-difference.high, high=-difference.low)
-
-
-def _percent(share: float | None) -> str:
-    """A share as per cent."""
-    return f"{100 * (share or 0.0):.1f} %"
+        return f"{change.negative.percent} {less}"
+    return f"{change.percent} {more}"

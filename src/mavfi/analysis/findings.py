@@ -6,7 +6,7 @@ from typing import NamedTuple
 import polars as pl
 
 from mavfi.analysis import measures as m
-from mavfi.analysis.rows import KERNEL_DUE
+from mavfi.analysis.rows import CHANGED, KERNEL_DUE, SILENT
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate
 from mavfi.campaign.plan import FI, GOLDEN
@@ -79,40 +79,36 @@ def _success(runs: Runs) -> list[str]:
 
 def _deaths(runs: Runs) -> list[str]:
     """Faults that kill their kernel, and what that would cost without restarts."""
-    faulty = runs.injected.where("judged", setting=FI)
+    faulty = m.leading_faults(runs).where(setting=FI)
     deadly = faulty.where(pl.col("kernel_effect").is_in(KERNEL_DUE), pl.col("kernel") != "")
     if not len(deadly) or not runs.has_missions:
         return []
     if_ended = m.rate_of(faulty, "success_if_ended")
     return [
-        f"{len(deadly)} of {len(faulty)} faults kill their kernel; if a dead node ended the mission, "
+        f"{len(deadly)} of {len(faulty)} faults{_bits(faulty)} kill their kernel; if a dead node ended the mission, "
         f"{_with_n(if_ended)} would succeed."
     ]
 
 
 def _effects(runs: Runs) -> list[str]:
     """Effects of faults on the flight, or on the output of a program."""
-    faulty = runs.injected.where("judged", pl.col("effect") != "unknown", setting=FI)
+    faulty = m.leading_faults(runs).where(pl.col("effect") != "unknown", setting=FI)
     if not len(faulty):
         return []
-
-    def share(*effects: str) -> Rate:
-        return m.rate_of(faulty, pl.col("effect").is_in(effects))
-
+    result = "output"
+    if runs.has_missions:
+        result = "flight"
+    masked = m.rate_of(faulty, pl.col("effect") == "masked")
     others = {
-        "are detected by protected code": share("detected"),
-        "end in a crash or a hang": share(*KERNEL_DUE),
-        "do not reach their site": share("not_activated"),
+        "change it silently": SILENT,
+        "change it after a failure that is noticed (a kernel dies, a sensor gives no data)": CHANGED,
+        "are detected by protected code": pl.col("effect") == "detected",
+        "end it by a crash or a hang": pl.col("effect").is_in(KERNEL_DUE),
+        "do not reach their site": pl.col("effect") == "not_activated",
     }
-    rest = "".join(f", {rate.percent} {words}" for words, rate in others.items() if rate.successes)
-    result = "flight" if runs.has_missions else "output"
-    change = "change it silently"
-    if faulty.values("level") == ["sensor"]:  # what fails is no data
-        change = "change it"
-    return [
-        f"{share('masked').percent} of {len(faulty)} faults leave the {result} as it was, bit for bit, "
-        f"{share('sdc').percent} {change}{rest}."
-    ]
+    rates = {words: m.rate_of(faulty, test) for words, test in others.items()}
+    rest = "".join(f", {rate.percent} {words}" for words, rate in rates.items() if rate.successes)
+    return [f"{masked.percent} of {len(faulty)} faults{_bits(faulty)} leave the {result} as it was, bit for bit{rest}."]
 
 
 def _worst_stage(runs: Runs) -> list[str]:
@@ -188,13 +184,13 @@ def _false_alarms(runs: Runs) -> list[str]:
 
 def _flight_time(runs: Runs) -> list[str]:
     """Flight times of successful missions with a fault."""
-    successes = runs.injected.where("judged", "success", pl.col("inflation").is_not_null(), setting=FI)
+    successes = m.leading_faults(runs).where("success", pl.col("inflation").is_not_null(), setting=FI)
     if not len(successes):
         return []
     median, worst = (m.quantile_of(successes["inflation"], share) or 0.0 for share in (0.5, 1.0))
     return [
-        f"Of the missions that succeed with a fault (n = {len(successes)}), the median takes {100 * median:+z.1f} % "
-        f"flight time, the worst {100 * worst:+z.1f} % ({m.worst_run(successes)})."
+        f"Of the missions that succeed with a fault{_bits(successes)} (n = {len(successes)}), the median takes "
+        f"{100 * median:+z.1f} % flight time, the worst {100 * worst:+z.1f} % ({m.worst_run(successes)})."
     ]
 
 

@@ -97,7 +97,7 @@ def separable_note(runs: Runs) -> list[str]:
 def _points(share: float | None) -> str:
     if share is None:
         return "—"
-    return f"{100 * share:.0f}"
+    return f"{100 * min(share, 1.0):.0f}"
 
 
 def of_missions(runs: Runs) -> Runs:
@@ -363,7 +363,7 @@ _EFFECTS = (
     m.count("masked", "masked", effect="masked"),
     m.count("sdc", "sdc", effect="sdc"),
     m.count("sdc_alarmed", "(alarm)", "detected_at_site", effect="sdc"),
-    m.count("due", "due", pl.col("effect").is_in(KERNEL_DUE)),
+    m.count("due", "died", pl.col("effect").is_in(KERNEL_DUE)),
     m.count("unknown", "unknown", effect="unknown"),
     m.count("activated", "activated", site_outcome=ACTIVATED),
     m.count("no_site", "no site", site_outcome=NO_SITE),
@@ -371,7 +371,8 @@ _EFFECTS = (
 )
 _EFFECT_NOTES = (
     "masked = bit for bit the golden run; sdc = the flight differs from the golden run, silent for the mission "
-    "computer unless a detector is on; of these, alarm = raised on the corrupted publication; due = died or hung",
+    "computer unless a detector is on or a kernel died; of these, alarm = raised on the corrupted publication; died = "
+    "its process crashed, hung or raised",
     "no site: the golden flight never published the state; not activated: the injected flight did not; both are "
     "kept in every rate (intention to treat)",
 )
@@ -615,7 +616,7 @@ def _effect(*effects: str) -> pl.Expr:
 _MASKED_SDC_DUE = (
     m.rate("masked", "masked", _effect("masked")),
     m.rate("sdc", "sdc", _effect("sdc")),
-    m.rate("due", "due", _effect(*KERNEL_DUE)),
+    m.rate("due", "died", _effect(*KERNEL_DUE)),
 )
 _DETECTED = _effect("detected")
 
@@ -657,12 +658,12 @@ _KERNEL_EFFECTS = (
             *_MASKED_SDC_DUE,
             m.rate("found", "detected", _DETECTED),
             m.rate("success", "success", "success"),
-            m.rate("success_due", "success | due", "success", _effect(*KERNEL_DUE)),
+            m.rate("success_due", "success | died", "success", _effect(*KERNEL_DUE)),
         ),
         where=lambda runs: _all_settings(runs).where(site_outcome=ACTIVATED),
         notes=lambda _: (
             _EFFECT_NOTE,
-            "detected: by protected code, whose call is computed again; due: crash, hang or exception",
+            "detected: by protected code, whose call is computed again; died: crash, hang or exception",
             "n: faults that were activated; protected kernels take longer, so that the same call number meets other "
             "values, or none: settings are compared as samples, not in pairs",
             _LEVEL,

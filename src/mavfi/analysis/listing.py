@@ -6,7 +6,7 @@ from pathlib import Path
 
 import polars as pl
 
-from mavfi.analysis.rows import ACTIVATED
+from mavfi.analysis.rows import ACTIVATED, EFFECT_IN_WORDS
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import NUMBER, SIGNED, TEXT, Column, Table
 from mavfi.campaign.plan import FI
@@ -37,12 +37,15 @@ _USUAL: dict[str, set[object]] = {
 """Values of columns that are hidden if they have no others."""
 
 
-def listing(runs: Runs, *, failed: bool = False) -> Table:
+def listing(runs: Runs, *, failed: bool = False, in_words: bool = False) -> Table:
     """List runs in plan order, with their numbers in it.  CSV and JSON contain all columns of the frame.
 
-    `failed` selects missions that did not succeed, and runs that could not be judged.
+    `failed` selects missions that did not succeed, and runs that could not be judged; with `in_words` effects are
+    those that people read, see `EFFECT_IN_WORDS`.
     """
     listed = replace(runs, frame=runs.frame.with_row_index("number", offset=1))
+    if in_words:
+        listed = listed.adding(effect=EFFECT_IN_WORDS)
     if failed:
         listed = listed.where(~pl.col("success"))
     frame = listed.frame

@@ -132,6 +132,14 @@ def rates_by_population(runs: Runs, test: pl.Expr | str) -> dict[str, Rate]:
     return memoized
 
 
+def word_weights(runs: Runs) -> list[float] | None:
+    """Weights of runs with which their strata of bits make up whole words; None if they do not partition a word."""
+    faults = Counter(runs["population"])
+    if set(faults) not in PARTITIONS:
+        return None
+    return [row["weight"] / faults[row["population"]] for row in runs]
+
+
 def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
     """Populations in table order, the headline stratum first; golden runs have none."""
     names: dict[str, None] = {}  # a set that keeps the order

@@ -10,13 +10,14 @@ from xml.etree import ElementTree
 import polars as pl
 
 from mavfi.analysis import measures as m
+from mavfi.analysis.comparison import Sample, difference, shared_samples
 from mavfi.analysis.effects import ALARMED, effect_rate, has_verdicts, judged_faults
 from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.statistics import Rate, wilson
 from mavfi.campaign.plan import FI
-from mavfi.campaign.requirement import EFFECTS, Requirement
-from mavfi.errors import writing
+from mavfi.campaign.requirement import CAMPAIGNS, MISSION, Requirement
+from mavfi.errors import BadInputError, writing
 
 
 class Holds(Enum):
@@ -33,6 +34,8 @@ class RequirementVerdict:
 
     requirement: Requirement
     rate: Rate
+    golden: Rate | None = None
+    """The same share of the runs without a fault; None = there is none, or it is a difference."""
 
     @property
     def holds(self) -> Holds:
@@ -63,6 +66,8 @@ class RequirementVerdict:
         if not rate.percent:
             return f"{text}: n = {rate.n}, no rate"
         text = f"{text}: {rate.percent}, n = {rate.n}"
+        if self.golden is not None and self.golden.percent:
+            text = f"{text}; without a fault {self.golden.percent}, n = {self.golden.n}"
         if self.holds is Holds.NOT_SHOWN:
             return f"{text}: n too small"
         return text
@@ -82,7 +87,74 @@ class RequirementVerdict:
 
 def judge(runs: Runs, requirements: Sequence[Requirement]) -> list[RequirementVerdict]:
     """Judge requirements, whose arms are known, by the runs of a campaign."""
-    return [RequirementVerdict(requirement, _rate(runs, requirement)) for requirement in requirements]
+    verdicts = []
+    for requirement in requirements:
+        if requirement.minus:
+            verdicts.append(RequirementVerdict(requirement, _difference_of_settings(runs, requirement)))
+        else:
+            golden = _golden_rate(runs, requirement)
+            verdicts.append(RequirementVerdict(requirement, _rate(runs, requirement), golden))
+    return verdicts
+
+
+def judge_campaigns(runs_a: Runs, runs_b: Runs, requirements: Sequence[Requirement]) -> list[RequirementVerdict]:
+    """Judge requirements on the difference of two campaigns, in fi or in the arm that a requirement names.
+
+    Raises:
+        BadInputError: The campaigns do not share such a setting.
+    """
+    samples, _ = shared_samples(runs_a, runs_b)
+    verdicts = []
+    for requirement in requirements:
+        setting = FI
+        if requirement.arm:
+            setting = f"dr_{requirement.arm}"
+        shared = [sample for (_, name), sample in samples if name == setting]
+        if not shared:
+            names = ", ".join(sorted({name for (_, name), sample in samples}))
+            raise BadInputError(f"{requirement.text!r}: {setting} is not compared; compared: {names}")
+        rate = difference(Sample.joined(shared), _test(requirement.measure))
+        if requirement.minus != CAMPAIGNS:
+            rate = rate.negative
+        verdicts.append(RequirementVerdict(requirement, rate))
+    return verdicts
+
+
+def _difference_of_settings(runs: Runs, requirement: Requirement) -> Rate:
+    """The difference of two settings, in pairs of the same faults."""
+    faults = judged_faults(runs)
+    by_setting = []
+    for name in requirement.minus:
+        if name == FI:
+            by_setting.append(faults.where(setting=FI))
+        else:
+            by_setting.append(faults.where(arm=name))
+    first, second = by_setting
+    if not has_verdicts(runs) and requirement.measure in MISSION:
+        return wilson(0, 0)
+    return difference(Sample.of(first, second, _SAME_DRAW), _test(requirement.measure))
+
+
+_SAME_DRAW = ("environment", "seed", "target", "index")
+"""Columns that identify a fault in all settings of a campaign."""
+
+
+def _golden_rate(runs: Runs, requirement: Requirement) -> Rate | None:
+    """Missions without a fault in the requirement's arm, if the requirement is about missions."""
+    if requirement.measure not in MISSION or not has_verdicts(runs):
+        return None
+    return m.rate_of(runs.golden.where("judged", arm=requirement.arm), _test(requirement.measure))
+
+
+def _test(measure: str) -> pl.Expr:
+    """Whether a run counts in a measure of faults."""
+    if measure == "success":
+        return pl.col("success")
+    if measure == "mission lost":
+        return ~pl.col("success")
+    if measure == "due":
+        return pl.col("effect").is_in(KERNEL_DUE)
+    return pl.col("effect") == measure
 
 
 def _rate(runs: Runs, requirement: Requirement) -> Rate:
@@ -98,19 +170,11 @@ def _rate(runs: Runs, requirement: Requirement) -> Rate:
     faults = judged_faults(runs).where(arm=requirement.arm)
     if not requirement.arm:
         faults = faults.where(setting=FI)
-    if measure in EFFECTS:
-        effects: tuple[str, ...] = (measure,)
-        if measure == "due":
-            effects = KERNEL_DUE
-        return effect_rate(faults, pl.col("effect").is_in(effects))
     if measure == "detected":
         return effect_rate(faults, ALARMED)
-    if not has_verdicts(runs):
+    if measure in MISSION and not has_verdicts(runs):
         return wilson(0, 0)
-    succeeded = pl.col("success")
-    if measure == "mission lost":
-        succeeded = ~succeeded
-    return effect_rate(faults, succeeded)
+    return effect_rate(faults, _test(measure))
 
 
 def _recovered(runs: Runs, arm: str) -> Rate:

@@ -31,6 +31,14 @@ NOT_ACTIVATED = "not_activated"
 KERNEL_DUE = tuple(effect.label for effect in DUE)
 """Effects on a kernel that kill its node: the node restarts, or the mission ends."""
 
+_IS_SILENT = ~pl.col("kernel_effect").is_in(KERNEL_DUE) & (pl.col("level") != "sensor")
+SILENT = (pl.col("effect") == "sdc") & _IS_SILENT
+"""Whether a flight differs from its golden run and nothing has said so: no kernel died, no sensor gave no data."""
+CHANGED = (pl.col("effect") == "sdc") & ~_IS_SILENT
+"""Whether it differs, and something has said so."""
+EFFECT_IN_WORDS = pl.when(CHANGED).then(pl.lit("changed")).otherwise(pl.col("effect"))
+"""The effect on the flight, as people read it: that on the kernel stands beside it."""
+
 _TEXT = pl.String
 _INT = pl.Int64
 _REAL = pl.Float64

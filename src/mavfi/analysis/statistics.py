@@ -47,6 +47,13 @@ class Rate:
             return ""
         return f"{100 * self.rate:.1f} % {self.interval}"
 
+    @property
+    def negative(self) -> "Rate":
+        """The difference with the other sign; itself without an interval."""
+        if self.rate is None or self.low is None or self.high is None:
+            return self
+        return replace(self, rate=-self.rate, low=-self.high, high=-self.low)
+
 
 @dataclass(frozen=True, slots=True)
 class EventRate:
@@ -75,10 +82,12 @@ class Estimate:
     low: float
     high: float
 
-    def times(self, factor: float) -> "Estimate":
-        """The estimate scaled by a factor."""
-        low, high = sorted((factor * self.low, factor * self.high))
-        return Estimate(factor * self.value, low, high)
+    def times(self, factor: "float | Estimate") -> "Estimate":
+        """The estimate scaled by a factor; the bounds of an uncertain factor widen the interval."""
+        if not isinstance(factor, Estimate):
+            factor = Estimate(factor, factor, factor)
+        products = [bound * scale for bound in (self.low, self.high) for scale in (factor.low, factor.high)]
+        return Estimate(self.value * factor.value, min(products), max(products))
 
     def not_negative(self) -> "Estimate":
         """The estimate of a value that cannot be negative: value and interval are cut at 0, which loses no coverage."""

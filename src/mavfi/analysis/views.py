@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from mavfi.analysis.measures import Measure, MeasureFactory
+from mavfi.analysis.measures import Measure, MeasureFactory, rate_of
+from mavfi.analysis.rows import GOLDEN
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import RATE, UNKNOWN, Cell, Column, Table
 from mavfi.dropped import dropped_name
@@ -81,7 +82,7 @@ class View:
             tuple(grid.columns),
             [row.cells for row in rows],
             max(1, len(self.by)),
-            (*notes, *_flown_with(chosen)),
+            (*notes, *_without_a_fault(runs, chosen, grid.columns), *_flown_with(chosen)),
             [row.behind for row in rows],
         )
 
@@ -158,6 +159,25 @@ def _behind(measure: Measure, group: Runs) -> tuple[str, ...]:
     if measure.key.startswith("paper"):
         return ()
     return measure.counted(group).ids
+
+
+def _without_a_fault(runs: Runs, chosen: Runs, columns: Iterable[Column]) -> tuple[str, ...]:
+    """Note on the success without a fault, for a table that shows only that with one."""
+    shows_success = any(column.form == RATE and column.key.startswith(_OF_MISSIONS) for column in columns)
+    if not shows_success or "kind" not in chosen.frame or not runs.has_missions or len(chosen.golden):
+        return ()
+    golden = runs.golden.where("judged", setting=GOLDEN)
+    rates = {
+        environment: rate_of(flights, "success") for (environment,), flights in golden.groups("environment").items()
+    }
+    parts = [f"{environment} {rate.percent}, n = {rate.n}" for environment, rate in rates.items()]
+    if not parts:
+        return ()
+    return (f"success without a fault: {'; '.join(parts)}",)
+
+
+_OF_MISSIONS = ("success", "hurt")
+"""Beginnings of the keys of rates of missions."""
 
 
 def _flown_with(runs: Runs) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
-"""A requirement on a campaign's result, as text: "sdc < 5 %", "recommended: success >= 95 %"."""
+"""A requirement on a campaign's result, as text: "sdc < 5 %", "gad: success >= 95 %", "fi.lost - gad.lost > 2 %"."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from mavfi.errors import BadInputError, not_known
@@ -13,20 +13,31 @@ MISSION = ("success", "mission lost")
 WATCHED = ("detected", "recovered", "false alarms")
 """Measures of an arm with a detector: of faults, of missions lost without the detector, of golden runs."""
 MEASURES = (*EFFECTS, *MISSION, *WATCHED)
-_FORM = "MEASURE < 5 % or MEASURE >= 95 %, with ARM: before it for an arm"
+COMPARABLE = (*EFFECTS, *MISSION)
+"""Measures of faults, whose difference between two settings or campaigns can be required."""
+FI = "fi"
+"""Name of the setting without an arm in differences."""
+CAMPAIGNS = ("A", "B")
+"""Names of two compared campaigns in differences."""
+_SHORT = {"lost": "mission lost"}
+_FORM = "MEASURE < 5 % or MEASURE >= 95 %, with ARM: before it for an arm; or NAME.MEASURE - NAME.MEASURE < 2 %"
+_DIFFERENCE = re.compile(
+    r"(?:([^:]+):)?\s*([\w-]+)\.([a-zA-Z ]+?)\s*-\s*([\w-]+)\.([a-zA-Z ]+?)\s*(<=|>=|<|>)\s*(-?\d+(?:\.\d*)?)\s*%"
+)
 _REQUIREMENT = re.compile(r"(?:([^:]+):)?\s*([a-zA-Z ]+?)\s*(<=|>=|<|>)\s*(\d+(?:\.\d*)?)\s*%")
 
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """A bound on a rate.
+    """A bound on a rate, or on the difference of two.
 
     Attributes:
         text: As the user wrote it, in plain spaces.
         arm: The arm whose runs count; "" = the campaign's own mission, without a detector.
         measure: One of `MEASURES`.
         comparison: "<", "<=", ">" or ">=".
-        limit: The bound, 0 to 1.
+        limit: The bound, 0 to 1; of a difference -1 to 1.
+        minus: The two arms, `FI`, or campaigns in a difference, the first less the second; () = it is none.
     """
 
     text: str
@@ -34,6 +45,7 @@ class Requirement:
     measure: str
     comparison: str
     limit: float
+    minus: tuple[str, ...] = ()
 
     @staticmethod
     def parse(text: str) -> "Requirement":
@@ -42,17 +54,23 @@ class Requirement:
         Raises:
             BadInputError: It is not in the form, or the measure is not known.
         """
-        match = _REQUIREMENT.fullmatch(text.strip())
+        words = " ".join(text.split())
+        difference = _DIFFERENCE.fullmatch(words)
+        if difference is not None:
+            arm, first, measure, second, other_measure, comparison, number = difference.groups()
+            name = _measure(text, measure, COMPARABLE)
+            if _measure(text, other_measure, COMPARABLE) != name:
+                raise BadInputError(f"{text!r}: a difference of {measure} and {other_measure}: allowed: one measure")
+            if first == second:
+                raise BadInputError(f"{text!r}: {first} less itself; allowed: two names")
+            limit = _limit(text, number, lowest=-100.0)
+            return Requirement(words, (arm or "").strip(), name, comparison, limit, (first, second))
+        match = _REQUIREMENT.fullmatch(words)
         if match is None:
             raise BadInputError(f"{text!r}: not understood; allowed: {_FORM}")
         arm, measure, comparison, number = match.groups()
-        name = " ".join(measure.lower().split())
-        if name not in MEASURES:
-            raise BadInputError(f"{text!r}: measure {not_known(measure, MEASURES)}")
-        percent = float(number)
-        if percent > 100.0:
-            raise BadInputError(f"{text!r}: {number} %: allowed: 0 to 100")
-        return Requirement(" ".join(text.split()), (arm or "").strip(), name, comparison, percent / 100.0)
+        name = _measure(text, measure, MEASURES)
+        return Requirement(words, (arm or "").strip(), name, comparison, _limit(text, number, lowest=0.0))
 
     def of(self, detectors: Mapping[str, str]) -> "Requirement":
         """The requirement with its arm; a measure of detectors is that of the only arm with one, unless it names one.
@@ -63,6 +81,13 @@ class Requirement:
         Raises:
             BadInputError: The campaign has no such arm, or the measure needs one.
         """
+        if self.minus:
+            for name in self.minus:
+                if name not in (FI, *detectors):
+                    raise BadInputError(f"{self.text!r}: setting {not_known(name, (FI, *detectors))}")
+            if self.arm:
+                raise BadInputError(f"{self.text!r}: {self.arm}: allowed: no ARM: before a difference of settings")
+            return self
         if self.arm and self.arm not in detectors:
             raise BadInputError(f"{self.text!r}: arm {not_known(self.arm, detectors)}")
         if self.measure not in WATCHED:
@@ -75,3 +100,32 @@ class Requirement:
             names = ", ".join(watched) or "none here"
             raise BadInputError(f"{self.text!r}: is about one arm with a detector; allowed: ARM: with {names}")
         return Requirement(self.text, arm, self.measure, self.comparison, self.limit)
+
+    def of_campaigns(self) -> "Requirement":
+        """The requirement on two compared campaigns.
+
+        Raises:
+            BadInputError: It is about one campaign, or settings of it.
+        """
+        if sorted(self.minus) != sorted(CAMPAIGNS):
+            raise BadInputError(
+                f"{self.text!r}: is not about A and B; allowed: 'A.MEASURE - B.MEASURE < 2 %', with ARM: before it"
+            )
+        return self
+
+
+def _measure(text: str, words: str, allowed: Collection[str]) -> str:
+    """The measure in a text, e.g. "mission lost" for "Lost"."""
+    name = " ".join(words.lower().split())
+    name = _SHORT.get(name, name)
+    if name not in allowed:
+        raise BadInputError(f"{text!r}: measure {not_known(words, allowed)}")
+    return name
+
+
+def _limit(text: str, number: str, lowest: float) -> float:
+    """The bound in a text in per cent, as a share."""
+    percent = float(number)
+    if not lowest <= percent <= 100.0:
+        raise BadInputError(f"{text!r}: {number} %: allowed: {lowest:g} to 100")
+    return percent / 100.0

@@ -14,6 +14,7 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.files import is_file
 from mavfi.plugins import known, load_object, use_ledger
+from mavfi.report.numbers import upper_percent
 
 if TYPE_CHECKING:
     from mavfi.analysis.requirements import RequirementVerdict
@@ -27,13 +28,6 @@ EXIT_REQUIREMENT = 3
 """Exit code if a requirement does not hold, or too few runs show that it does."""
 _LOOSE_BOUND = 0.1
 """Share of wrong records above which a verification hardly says anything."""
-Require = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="TEXT",
-        help="Exit code 3 unless intervals show it: 'sdc < 5 %', 'recommended: success >= 95 %'; repeatable.",
-    ),
-]
 Junit = Annotated[
     Path | None, typer.Option(metavar="FILE.xml", help="Write the requirements as test cases, in JUnit's format.")
 ]
@@ -91,7 +85,7 @@ def run(  # noqa: PLR0913 - options
     allow_unknown: Annotated[
         bool, typer.Option("--allow-unknown", help="Exit with 0 even if runs have status unknown.")
     ] = False,
-    require: Require = None,
+    require: options.Require = None,
     junit: Junit = None,
 ) -> None:
     """Fly a campaign, or its missing runs.  Ctrl-C stops it (exit code 130); the same command resumes.
@@ -150,10 +144,10 @@ def run(  # noqa: PLR0913 - options
         console().print(text, soft_wrap=True)
         return
     verdicts = _judge(ledger, campaign.name, requirements, junit)
-    _show_verdicts(verdicts)
+    show_verdicts(verdicts)
     _show_counts(ledger, status)
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
-    _exit_unless_all_hold(verdicts)
+    exit_unless_all_hold(verdicts)
 
 
 def _requirements(campaign: "Campaign", texts: Sequence[str], junit: Path | None) -> "list[Requirement]":
@@ -183,13 +177,14 @@ def _judge(
     return verdicts
 
 
-def _show_verdicts(verdicts: "Sequence[RequirementVerdict]") -> None:
+def show_verdicts(verdicts: "Sequence[RequirementVerdict]") -> None:
     """Print one line per requirement."""
     for verdict in verdicts:
         console().print(verdict.line, markup=False, soft_wrap=True)
 
 
-def _exit_unless_all_hold(verdicts: "Sequence[RequirementVerdict]") -> None:
+def exit_unless_all_hold(verdicts: "Sequence[RequirementVerdict]") -> None:
+    """Exit with the code of requirements unless each is shown to hold."""
     if not verdicts:
         return
     from mavfi.analysis.requirements import Holds
@@ -251,7 +246,7 @@ def _most_frequent_reason(ledger: Path) -> str:
 def status(
     directory: options.Ledger,
     as_json: options.AsJson = False,
-    require: Require = None,
+    require: options.Require = None,
     junit: Junit = None,
 ) -> None:
     """Print the progress of a campaign, and in each setting the number of successful missions, or effects of faults.
@@ -276,9 +271,9 @@ def status(
         if verdicts:
             data["requirements"] = [verdict.to_json() for verdict in verdicts]
         write_json(data)
-        _exit_unless_all_hold(verdicts)
+        exit_unless_all_hold(verdicts)
         return
-    _show_verdicts(verdicts)
+    show_verdicts(verdicts)
     text = f"{progress.done} of {progress.total} runs"
     if progress.shard != WHOLE:
         text += f" of shard {progress.shard}"
@@ -288,7 +283,7 @@ def status(
         text += f"; `mavfi campaign run CONFIG --out {directory}` flies the rest"
     console().print(text, markup=False, soft_wrap=True)
     _show_counts(directory, progress)
-    _exit_unless_all_hold(verdicts)
+    exit_unless_all_hold(verdicts)
 
 
 def _settings(directory: Path, status: "Status") -> dict[str, dict[str, Any]]:
@@ -326,7 +321,7 @@ def verify(
     check_seed("--seed", seed)
     with Bar("replay", "runs") as bar:
         sample = verify_runs(directory, share, seed, bar.show)
-    bound = f"at most {100 * sample.upper_bound:.2g} % of the {sample.runs} records are wrong (95 % confidence)"
+    bound = f"at most {upper_percent(sample.upper_bound)} of the {sample.runs} records are wrong (95 % confidence)"
     if as_json:
         write_json({**asdict(sample), "upper_bound": sample.upper_bound})
     elif not sample.differing:

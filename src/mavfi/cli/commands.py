@@ -211,6 +211,8 @@ def run(arguments: Sequence[str]) -> int:
     except typer.Abort:
         return EXIT_STOPPED
     except (Exception, SystemExit) as error:
+        if isinstance(error.__context__, BrokenPipeError):  # the reader of the output has ended, e.g. `| head`
+            return EXIT_DONE
         # a full disk and the like, then what the user installed or not; all others are defects of mavfi
         if failure := machine_failure(error):
             return _refused(failure, EXIT_FAILURE)

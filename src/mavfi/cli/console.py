@@ -14,6 +14,7 @@ from mavfi.errors import BadInputError, not_known, writing
 from mavfi.files import exists
 from mavfi.report.console import WIDE as WIDE
 from mavfi.report.console import console as console
+from mavfi.report.numbers import counted as counted
 
 MAX_LINE_LENGTH = 2000
 """Maximum length of an error message (characters)."""
@@ -26,13 +27,6 @@ PAGES = (".html",)
 def titled_table(title: str, **more: Any) -> Table:
     """An empty table with a title, in the style of all commands."""
     return Table(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, **more)
-
-
-def counted(number: int, noun: str) -> str:
-    """A number with its noun, in the plural unless it is 1."""
-    if number == 1:
-        return f"1 {noun}"
-    return f"{number} {noun}s"
 
 
 def one_line(text: str) -> str:

@@ -89,6 +89,14 @@ RunId = Annotated[
         autocompletion=completion.run_id,
     ),
 ]
+Require = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="TEXT",
+        help="Exit code 3 unless intervals show it: 'sdc < 5 %', 'recommended: success >= 95 %', "
+        "'fi.lost - recommended.lost > 2 %' (of two campaigns: A.lost - B.lost); repeatable.",
+    ),
+]
 AllTables = Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")]
 Workers = Annotated[int, typer.Option(help="Processes; the result does not depend on them.")]
 

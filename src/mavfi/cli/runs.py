@@ -35,7 +35,7 @@ def runs(
     from mavfi.analysis.runs import Runs
     from mavfi.report.text import show_table
 
-    table = listing(Runs.read(directory), failed=failed)
+    table = listing(Runs.read(directory), failed=failed, in_words=not as_csv and not as_json)
     if as_csv:
         typer.echo(table.to_csv(), nl=False)
     elif as_json:
@@ -81,21 +81,35 @@ def _fitted(table: Table, width: int) -> Table:
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="Folder of a ledger.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Folder of another one.")],
+    require: options.Require = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Compare two campaigns: failures, flight time and energy.
 
-    Runs with the same seed and fault are compared in pairs, others as independent samples; intervals are 95 %.
+    Runs with the same seed and fault are compared in pairs, others as independent samples; intervals are 95 %. Exit
+    code 3: a requirement does not hold.
 
-    Example: [bold]mavfi compare out/before out/after[/bold]
+    Example: [bold]mavfi compare out/before out/after --require 'B.lost - A.lost < 2 %'[/bold]
     """
     from mavfi.analysis.comparison import compare as compare_runs
+    from mavfi.analysis.requirements import judge_campaigns
     from mavfi.analysis.runs import Runs
+    from mavfi.campaign.requirement import Requirement
+    from mavfi.cli.campaign import exit_unless_all_hold, show_verdicts
     from mavfi.report.text import show_table
 
-    comparison = compare_runs(Runs.read(first), Runs.read(second))
+    # what cannot be judged is refused before anything is printed
+    requirements = [Requirement.parse(text).of_campaigns() for text in require or ()]
+    runs_a = Runs.read(first)
+    runs_b = Runs.read(second)
+    verdicts = judge_campaigns(runs_a, runs_b, requirements)
+    comparison = compare_runs(runs_a, runs_b)
     if as_json:
-        write_json({"a": str(first), "b": str(second), **comparison.to_json()})
+        data = {"a": str(first), "b": str(second), **comparison.to_json()}
+        if verdicts:
+            data["requirements"] = [verdict.to_json() for verdict in verdicts]
+        write_json(data)
+        exit_unless_all_hold(verdicts)
         return
     for sentence in comparison.sentences:
         console().print(sentence, markup=False)
@@ -105,9 +119,11 @@ def compare(
     if comparison.are_same:
         for note in comparison.notes:
             console().print(note, style="dim", markup=False)
-        return
-    console().print()
-    show_table(comparison.table, console())
+    else:
+        console().print()
+        show_table(comparison.table, console())
+    show_verdicts(verdicts)
+    exit_unless_all_hold(verdicts)
 
 
 def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:

@@ -9,9 +9,18 @@ WIDE = 140
 """Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
 
 
+class _Console(Console):
+    """A console whose command goes on, to its own exit code, when the reader of its output has ended (`| head`)."""
+
+    def on_broken_pipe(self) -> None:
+        """What is printed from now on, nobody reads."""
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+
+
 def console(*, error: bool = False) -> Console:
     """A console for text; progress goes to the one on stderr, so that stdout can be piped."""
     stream = sys.stderr if error else sys.stdout
     if stream.isatty() or "COLUMNS" in os.environ:
-        return Console(stderr=error, highlight=False)
-    return Console(stderr=error, highlight=False, width=WIDE)
+        return _Console(stderr=error, highlight=False)
+    return _Console(stderr=error, highlight=False, width=WIDE)

@@ -1,5 +1,6 @@
 """Numbers of flights as text, without what tables need."""
 
+import math
 import struct
 
 from mavfi.record import Injection
@@ -7,11 +8,27 @@ from mavfi.record import Injection
 ABSENT = "—"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun, in the plural unless it is 1."""
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} {noun}s"
+
+
 def percent(share: float | None, digits: int = 1) -> str:
     """A share as per cent."""
     if share is None:
         return ABSENT
     return f"{100 * share:.{digits}f} %"
+
+
+def upper_percent(bound: float) -> str:
+    """An upper bound as per cent with two digits, rounded up: "0.19 %", "100 %"."""
+    percentage = 100 * bound
+    if percentage <= 0:
+        return "0 %"
+    step = 10.0 ** (math.floor(math.log10(percentage)) - 1)
+    return f"{min(100.0, math.ceil(round(percentage / step, 6)) * step):.3g} %"
 
 
 def signed_percent(share: float | None) -> str:

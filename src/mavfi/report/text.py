@@ -62,13 +62,24 @@ def number(value: float | None, digits: int = 1) -> str:
     return f"{value:.{digits}f}"
 
 
+def _small(value: float) -> str:
+    """A value of any order of magnitude; 0 is exact."""
+    if value == 0.0:
+        return "0"
+    return f"{value:.1e}"
+
+
 def _difference(rate: Rate) -> str:
-    """A difference in per cent, or in points of it, with its interval, shortened where it is wide."""
+    """A difference in per cent, or in points of it, if its interval shows one; the interval, shortened where wide."""
     if rate.rate is None:
         return ABSENT
     text = f"{100 * rate.rate:+z.1f}"
     if rate.low is None or rate.high is None:
-        return text
+        return f"{text} [?]"
+    if rate.low == rate.high == 0.0:
+        return "equal"
+    if rate.low <= 0.0 <= rate.high:
+        text = "not shown"
     low, high = (f"{100 * bound:z.{int(abs(bound) < 0.1)}f}" for bound in (rate.low, rate.high))
     return f"{text} [{low}, {high}]"
 
@@ -86,7 +97,7 @@ FORMS: dict[str, Callable[[Any], str]] = {
     "signed points": lambda share: f"{100 * share:+z.1f}",
     SMALL: lambda share: f"{100 * share:.3g} %",
     PER_HOUR: lambda alarms: alarms.text or ABSENT,
-    ESTIMATE: lambda estimate: f"{estimate.value:.1e} [{estimate.low:.1e}, {estimate.high:.1e}]",
+    ESTIMATE: lambda estimate: f"{_small(estimate.value)} [{_small(estimate.low)}, {_small(estimate.high)}]",
     "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",
 }
 """Formatter by display format; other formats are "number", optionally with a Python format and a unit."""

@@ -19,8 +19,17 @@ def test_the_answer_comes_first_and_the_assumptions_after_it(ledger, capsys):
     text = capsys.readouterr().out
     rates = text.partition("Does ")[0]
     assert "[" in rates and "[-" not in rates, "no rate is below none"
-    assert text.startswith("Failures per flight hour, sparse: fi ")
+    assert text.startswith("sparse, fi: ") and "(10 faults); without a fault 0 of 10 missions" in text
     assert text.index("dr_gaussian") < text.index("JESD89A")
+
+
+def test_a_target_is_answered_without_the_table(ledger, capsys):
+    assert run(["failures", ledger, "--show", "1e-7"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("sparse, fi: fewer than 1e-07 failures per flight hour: shown, at most ")
+    assert "What widens the bound most: " in text and "instructions/h" not in text
+    assert run(["failures", ledger, "--show", "0"]) == 2
+    assert "--show: 0.0: allowed: 1e-30 to 1e+06" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_line(tmp_path, capsys):

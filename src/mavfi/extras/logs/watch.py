@@ -463,7 +463,7 @@ class LogRates:
         if rate.events == 1:
             events = "1 false alarm event"
         exposure = f"{self.exposure_s / _MINUTE_S:.1f} min of normal flight"
-        return f"{events} in {exposure}: {rate_text(rate)} per hour; {self.alarm_percent:.2g} % of messages"
+        return f"{events} in {exposure}: {rate_text(rate)} per hour; {self.alarm_percent:.3g} % of messages"
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""

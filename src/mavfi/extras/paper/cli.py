@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import completion, options
-from mavfi.cli.console import PICTURES, check_file, console, say_written, write_json
+from mavfi.cli.console import PICTURES, check_file, check_number, console, say_written, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.files import check_folder, is_file
@@ -31,6 +31,9 @@ PAGE = "report.html"
 FLIGHTS_EACH = 5
 """Flights of each campaign in the page: 1.5 MB and less than a minute of two processors for the paper's study;
 `mavfi report DIR --html FILE --flights N` writes it with more."""
+MIN_TARGET = 1e-30
+MAX_TARGET = 1e6
+"""Failures per flight hour of `mavfi failures --show`."""
 TIMED_VIEW = "overheads_as_in_the_paper"
 """View whose overheads are measured."""
 TIMED_FLIGHTS = 3
@@ -243,6 +246,10 @@ def failures(
     upsets: Annotated[
         str, typer.Option(metavar="NAME|FILE.yaml", help="Upset rates: shipped (configs/upsets), or your own.")
     ] = "low_altitude",
+    show: Annotated[
+        float | None,
+        typer.Option(metavar="RATE", help="Is this rate shown? How many faults would, and what widens its bound most."),
+    ] = None,
 ) -> None:
     """Compare settings by failures per flight hour.
 
@@ -255,15 +262,20 @@ def failures(
     from rich.text import Text
 
     from mavfi.analysis.runs import Runs
-    from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary
+    from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary, target_lines
     from mavfi.report.text import show_table
 
+    check_number("--show", show, MIN_TARGET, MAX_TARGET)
     upset_rates = find_upsets(upsets)
     runs = Runs.read(directory)
     table = failure_table(runs, upset_rates)
     if not table.rows:
         raise BadInputError(f"{directory}: {_why_no_failures(runs)}; `mavfi campaign run failure_rate` flies such ones")
     out = console()
+    if show is not None:
+        for line in target_lines(runs, upset_rates, show):
+            out.print(Text(line))
+        return
     for sentence in summary(runs, upset_rates):
         out.print(Text(sentence))
     out.print()

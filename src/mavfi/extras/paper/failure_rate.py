@@ -15,14 +15,15 @@ from typing import Any, NamedTuple
 import polars as pl
 from pydantic import Field, model_validator
 
-from mavfi.analysis.measures import Measure, against_fi
+from mavfi.analysis.measures import Measure, against_fi, rate_of
 from mavfi.analysis.runs import ALL, Runs
-from mavfi.analysis.statistics import Estimate, Rate, paired_difference
+from mavfi.analysis.statistics import Estimate, Rate, paired_difference, score_bounds
 from mavfi.analysis.table import ESTIMATE, NUMBER, POINTS, Table
 from mavfi.analysis.views import View, has
 from mavfi.campaign.plan import FI
 from mavfi.config import Config, shipped
 from mavfi.plugins import Chapter
+from mavfi.report.numbers import counted, percent
 from mavfi.report.text import cell
 from mavfi.states import DETECTORS, PLANNERS
 
@@ -106,14 +107,16 @@ class ExposedKernel:
     Attributes:
         instructions: Dynamic instructions per flight hour.
         harm: Increase in the probability of mission failure per fault.
+        is_sampled: Whether it had faults; without any, its harm is 0 to 1.
     """
 
     instructions: float
     harm: Estimate
+    is_sampled: bool = True
 
-    def failures(self, upset: float) -> Estimate:
-        """Failures per flight hour at an upset probability per instruction; the interval reflects the harm only."""
-        return self.harm.times(self.instructions * upset)
+    def failures(self, upset: float | Estimate) -> Estimate:
+        """Failures per flight hour at an upset probability per instruction, whose band is part of the interval."""
+        return self.harm.times(self.instructions).times(upset)
 
     def without_negative_harm(self) -> "ExposedKernel":
         """The kernel as the cause of failures, of which a fault cannot cause fewer than none.
@@ -123,22 +126,28 @@ class ExposedKernel:
         return replace(self, harm=self.harm.not_negative())
 
 
-def total_failures(exposed: Iterable[ExposedKernel], upset: float) -> Estimate:
-    """Failures per flight hour, summed over kernels.
+def total_failures(exposed: Collection[ExposedKernel], upset: float | Estimate) -> Estimate:
+    """Failures per flight hour, summed over kernels; the band of the upset probability is part of the interval.
 
     Distances to the bounds are added in quadrature (MOVER; Zou and Donner 2008), since the faults of different kernels
-    are drawn independently.
+    are drawn independently.  The bounds of kernels without faults are no statistical errors: they are added.
     """
-    failures = [kernel.failures(upset) for kernel in exposed]
-    value = sum(kernel.value for kernel in failures)
-    below = math.hypot(*(kernel.value - kernel.low for kernel in failures))
-    above = math.hypot(*(kernel.high - kernel.value for kernel in failures))
-    return Estimate(value, value - below, value + above)
+    sampled = [kernel.failures(1.0) for kernel in exposed if kernel.is_sampled]
+    unsampled = [kernel.failures(1.0) for kernel in exposed if not kernel.is_sampled]
+    value = sum(kernel.value for kernel in (*sampled, *unsampled))
+    below = math.hypot(*(kernel.value - kernel.low for kernel in sampled))
+    above = math.hypot(*(kernel.high - kernel.value for kernel in sampled))
+    above += sum(kernel.high - kernel.value for kernel in unsampled)
+    return Estimate(value, value - below, value + above).times(upset)
 
 
 # ---- failures per flight hour by setting and kernel, from campaigns with instruction faults ------------------------
 
 INSTRUCTION = "instruction"
+MIN_FAULTS = 10
+"""Faults of a kernel below which its failures, and sums with it, are not given: none lost of fewer allows 30 %."""
+_ANY_HARM = Estimate(0.0, 0.0, 1.0)
+"""Harm of a kernel without faults."""
 
 
 def instructions_per_hour(golden: Runs) -> dict[str, float]:
@@ -160,6 +169,21 @@ class KernelFaults(NamedTuple):
     run_ids: list[str]
     exposed: ExposedKernel
 
+    @property
+    def missing(self) -> int:
+        """Faults that it lacks of `MIN_FAULTS`; a kernel without any is in the interval instead."""
+        if not self.run_ids:
+            return 0
+        return max(0, MIN_FAULTS - len(self.run_ids))
+
+
+def missing_faults(kernels: Iterable[KernelFaults]) -> str:
+    """Why a sum over kernels is not given: "too few: at least 9 more"; "" = it can be."""
+    missing = sum(kernel.missing for kernel in kernels)
+    if not missing:
+        return ""
+    return f"too few: at least {missing} more"
+
 
 FaultsBySetting = dict[tuple[str, str], dict[str, KernelFaults]]
 """Faults by (environment, setting), then by kernel."""
@@ -171,8 +195,8 @@ def faults_by_setting(runs: Runs, success: str = "success") -> FaultsBySetting:
     Harm is measured against the golden run of the same arm and mission.  An upset affects every instruction with the
     same probability, but faults are drawn within missions: they have the weight of the instructions that the golden run
     of their mission executes.  `success` names the column for the success of injected runs: "success" (as flown) or
-    "success_if_ended".  Settings without instruction counts and kernels without faults are omitted; faults for which a
-    mission executes no instruction are not counted.
+    "success_if_ended".  Settings without instruction counts are omitted; kernels that execute instructions and have no
+    faults may have any harm; faults for which a mission executes no instruction are not counted.
     """
     if ("exposed", success) not in runs.memo:
         runs.memo["exposed", success] = _group_faults(runs, success)
@@ -201,6 +225,12 @@ def _group_faults(runs: Runs, success: str) -> FaultsBySetting:
             harm = paired_difference(without_fault, with_fault, worlds, weights)
             kernels = grouped.setdefault((environment, setting), {})
             kernels[kernel] = KernelFaults([row["run_id"] for row in rows], ExposedKernel(counts[kernel], harm))
+        # executed, and never struck
+        with_faults = grouped.get((environment, setting))
+        if with_faults:
+            for kernel in sorted(counts.keys() - with_faults.keys()):
+                if counts[kernel]:
+                    with_faults[kernel] = KernelFaults([], ExposedKernel(counts[kernel], _ANY_HARM, is_sampled=False))
     return grouped
 
 
@@ -219,7 +249,9 @@ def _weights(runs: Runs, kernel: str, golden: Sequence[str], worlds: Sequence[st
     return None
 
 
-def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Collection[str] = ()) -> Estimate | None:
+def payoff(
+    runs: Runs, environment: str, setting: str, upset: float | Estimate, kernels: Collection[str] = ()
+) -> Estimate | None:
     """Failures per flight hour under a detector minus those without: of kernels, and of the detector.
 
     Args:
@@ -322,20 +354,31 @@ def _changed(
     return parts
 
 
-def payoffs(runs: Runs, upset: float) -> list[str]:
+def payoffs(runs: Runs, upset: float | Estimate) -> list[str]:
     """Whether each detector prevents more failures than its own instructions cause, in words."""
     sentences = []
-    for environment, setting in faults_by_setting(runs):
+    grouped = faults_by_setting(runs)
+    detectors = _detectors(runs)
+    for (environment, setting), kernels in grouped.items():
         if setting == FI:
             continue
         difference = payoff(runs, environment, setting, upset)
         if difference is None:
             continue
-        text = f"{verdict(difference)} over all kernels and its own instructions"
+        question = f"does {setting} pay in {environment}?"
+        without_detector = grouped.get((environment, FI), {})
+        missing = missing_faults([*kernels.values(), *without_detector.values()])
+        if missing:
+            sentences.append(f"{question} {missing} faults")
+            continue
+        added = "and its own instructions"
+        if not detectors & kernels.keys():
+            added = "without its own instructions, which were not counted"
+        text = f"{verdict(difference)} over the injected kernels {added}"
         planner = payoff(runs, environment, setting, upset, tuple(PLANNERS))
         if planner is not None:
-            text += f"; {verdict(planner)} over the planner and its own instructions"
-        sentences.append(f"does {setting} pay in {environment}? {text}")
+            text += f"; {verdict(planner)} over the planner {added}"
+        sentences.append(f"{question} {text}")
     return sentences
 
 
@@ -352,7 +395,7 @@ def verdict(difference: Estimate) -> str:
 
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
-    upset = upsets_per_instruction(upsets).value
+    upset = upsets_per_instruction(upsets)
     grouped = faults_by_setting(runs)
     grouped_if_ended = faults_by_setting(runs, "success_if_ended")
     for (environment, setting), kernels in grouped.items():
@@ -362,14 +405,18 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
             for kernel, faults in grouped_if_ended[environment, setting].items()
         }
 
-        # A row for each kernel.
-        for kernel, (run_ids, part) in kernels.items():
+        # a row for each kernel
+        for kernel, faults in kernels.items():
+            run_ids, part = faults
+            if not run_ids:
+                continue
             caused = part.without_negative_harm().failures(upset)
             yield {
                 **group,
                 "kernel": kernel,
                 "run_id": run_ids,
                 "n": len(run_ids),
+                "missing": missing_faults([faults]),
                 "against": None,
                 "instructions": part.instructions,
                 "harm": asdict(part.harm),
@@ -382,9 +429,11 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         instructions = sum(part.instructions for part in parts)
         total = _caused(kernels, upset)
         harm = total_failures(parts, 1.0).times(1 / instructions)
+        missing = missing_faults(kernels.values())
         against = None
-        if setting != FI and (environment, FI) in grouped:
-            alone = _caused(grouped[environment, FI], upset).value
+        without_detector = grouped.get((environment, FI), {})
+        if setting != FI and not missing and not missing_faults(without_detector.values()):
+            alone = _caused(without_detector, upset).value
             if alone > 0:
                 against = total.value / alone
         run_ids = [run_id for faults in kernels.values() for run_id in faults.run_ids]
@@ -393,6 +442,7 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
             "kernel": ALL,
             "run_id": run_ids,
             "n": len(run_ids),
+            "missing": missing,
             "against": against,
             "instructions": instructions,
             "harm": asdict(harm),
@@ -401,9 +451,9 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         }
 
 
-def _caused(kernels: Mapping[str, KernelFaults], upset: float) -> Estimate:
+def _caused(kernels: Mapping[str, KernelFaults], upset: float | Estimate) -> Estimate:
     """Failures per flight hour that faults in kernels cause."""
-    return total_failures([part.without_negative_harm() for _, part in kernels.values()], upset)
+    return total_failures([faults.exposed.without_negative_harm() for faults in kernels.values()], upset)
 
 
 def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
@@ -417,8 +467,8 @@ def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
 
 
 def _estimate(key: str, heading: str) -> Measure:
-    """A column of estimates."""
-    return Measure(key, heading, ESTIMATE, lambda runs: Estimate(**runs.first(key)))
+    """Failures of a row, or how many faults it lacks."""
+    return Measure(key, heading, ESTIMATE, lambda runs: runs.first("missing") or Estimate(**runs.first(key)))
 
 
 _DIFFERENCE = (
@@ -432,33 +482,38 @@ def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
     """Notes on omitted settings, definitions, assumptions and sources of the table."""
     # Whether a detector pays, with the explanation of the test; settings that are left out.
     rate = upsets_per_instruction(upsets)
-    verdicts = payoffs(runs, rate.value)
+    verdicts = payoffs(runs, rate)
     if verdicts:
         verdicts = [*verdicts, _DIFFERENCE]
     fit = upsets.fit_per_mbit
     altitude = upsets.altitude
-    counted = {setting for _, setting in faults_by_setting(runs)}
+    counted_settings = {setting for _, setting in faults_by_setting(runs)}
     left_out = [
         f"{setting}: not in the table, the golden runs of its arm were not counted; needed: its detector (for "
         "recommended: acceptance) in sampling.kernels"
         for setting in runs.injected.where(level=INSTRUCTION).values("setting")
-        if setting not in counted
+        if setting not in counted_settings
     ]
+    unsampled = []
+    if any(not faults.run_ids for kernels in faults_by_setting(runs).values() for faults in kernels.values()):
+        unsampled = ["kernels with instructions and without faults may do any harm: 0 to 1, in the interval of all"]
     return [
         *left_out,
+        *unsampled,
         *verdicts,
         "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
         "setting, recomputations and detector included) x harm; [95 % interval of the harm, cut at 0: a fault cannot "
-        "cause fewer failures than none]; faults alone, not the failures without a fault",
+        "cause fewer failures than none, at the ends of the band of the upsets]; faults alone, not the failures "
+        f"without a fault; too few: below {MIN_FAULTS} faults in a kernel",
         "harm: missions lost by the fault against the golden run of the same setting, in pairs, each mission with the "
         "weight of its instructions, [95 % interval: MOVER], n = faults; coverage, 1 – harm, rewards idle instructions "
         "and compares nothing (Schirmeier et al., DSN 2015): compare failures",
-        f"upsets {upsets.name}: {rate.value:.1e} per instruction, band {rate.low:.1e} to {rate.high:.1e}, which scales "
-        f"all rows alike: {fit.value:g} FIT/Mbit ({fit.low:g} to {fit.high:g}) x {upsets.unprotected_mbit:g} Mbit x "
+        f"upsets {upsets.name}: {rate.value:.1e} per instruction, band {rate.low:.1e} to {rate.high:.1e}, the same "
+        f"in all rows: {fit.value:g} FIT/Mbit ({fit.low:g} to {fit.high:g}) x {upsets.unprotected_mbit:g} Mbit x "
         f"{upsets.visible:g} visible at {altitude.value:g} m ({altitude.low:g} to {altitude.high:g}), "
         f"{upsets.instructions_per_second:.1e} instructions/s",
         *(f"{key}: {source}" for key, source in upsets.sources.items()),
-        "instructions are values that the kernels' LLVM IR writes; kernels that were not injected are not in the sum; "
+        "instructions are values that the kernels' LLVM IR writes; kernels that were not counted are not in the sum; "
         "the machine's caches, memories and operating system are not in the fault space",
     ]
 
@@ -489,14 +544,116 @@ def failure_table(runs: Runs, upsets: UpsetConfig) -> Table:
 
 
 def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
-    """Failures per flight hour of each setting, one sentence per environment, and whether its detector pays."""
-    upset = upsets_per_instruction(upsets).value
-    rates_by_environment: dict[str, list[str]] = {}
+    """Failures per flight hour of each setting beside the missions lost without a fault; whether its detector pays."""
+    upset = upsets_per_instruction(upsets)
+    sentences = []
     for (environment, setting), kernels in faults_by_setting(runs).items():
-        total = _caused(kernels, upset)
-        rates_by_environment.setdefault(environment, []).append(f"{setting} {cell(total, ESTIMATE)}")
-    rates = [
-        f"Failures per flight hour, {environment}: {'; '.join(texts)}."
-        for environment, texts in rates_by_environment.items()
-    ]
-    return [*rates, *(f"{text[0].upper()}{text[1:]}." for text in payoffs(runs, upset))]
+        rate = f"{cell(_caused(kernels, upset), ESTIMATE)} failures per flight hour by faults"
+        missing = missing_faults(kernels.values())
+        if missing:
+            rate = f"failures per flight hour by faults: {missing}"
+        arm = runs.injected.where(setting=setting).first("arm")
+        golden = runs.golden.where("judged", environment=environment, arm=arm)
+        lost = rate_of(golden, ~pl.col("success"))
+        sentences.append(
+            f"{environment}, {setting}: {rate} ({_number_of(kernels)}); without a fault {lost.successes} of {lost.n} "
+            f"missions fail, {lost.percent}."
+        )
+    return [*sentences, *(f"{text[0].upper()}{text[1:]}." for text in payoffs(runs, upset))]
+
+
+# ---- is a rate shown to be below a target? ---------------------------------------------------------------------------
+
+
+def target_lines(runs: Runs, upsets: UpsetConfig, target: float) -> list[str]:
+    """Whether each setting is shown to be below a rate, how many faults would show it, and what widens the bound most.
+
+    Args:
+        runs: A campaign with instruction faults.
+        upsets: Upset rates.
+        target: Failures per flight hour.
+    """
+    highest = upsets_per_instruction(upsets).high
+    lines = []
+    for (environment, setting), kernels in faults_by_setting(runs).items():
+        bound = _caused(kernels, highest).high
+        reached = missing_faults(kernels.values()) or f"at most {bound:.1e}"
+        answer = f"not shown, {reached} ({_number_of(kernels)}). {_needed_faults(kernels, highest, target)}"
+        if bound < target and not missing_faults(kernels.values()):
+            answer = f"shown, {reached} ({_number_of(kernels)})."
+        lines.append(f"{environment}, {setting}: fewer than {target:g} failures per flight hour: {answer}")
+        lines.append(f"  {_dominant_assumption(kernels, upsets)}")
+    assumed = f"{upsets.unprotected_mbit:g} Mbit unprotected, {upsets.visible:g} of the upsets visible"
+    return [*lines, f"Assumed, without a band: {assumed}, {upsets.instructions_per_second:.1e} instructions/s."]
+
+
+def _number_of(kernels: Mapping[str, KernelFaults]) -> str:
+    """The faults in kernels, with those that have none: "20 faults, none in acceptance"."""
+    number = counted(sum(len(faults.run_ids) for faults in kernels.values()), "fault")
+    without = [kernel for kernel, faults in kernels.items() if not faults.run_ids]
+    if not without:
+        return number
+    return f"{number}, none in {', '.join(without)}"
+
+
+def _needed_faults(kernels: Mapping[str, KernelFaults], upset: float, target: float) -> str:
+    """How many faults bring the bound below a target, if each kernel's harm stays as measured."""
+    if _caused(kernels, upset).value >= target:
+        return "No number of faults shows it: the harm as measured is already above it at the highest upset rate."
+
+    def bound(faults_each: int) -> float:
+        enlarged = {name: _with_faults(faults, faults_each) for name, faults in kernels.items()}
+        return _caused(enlarged, upset).high
+
+    enough = MIN_FAULTS
+    while bound(enough) >= target and enough < _MOST_FAULTS:
+        enough *= 2
+    if enough >= _MOST_FAULTS:
+        return f"More than {_MOST_FAULTS:,} faults in each kernel are needed."
+    # the smallest number between a power of 2 that does not suffice and the next one, which does
+    too_small = max(MIN_FAULTS - 1, enough // 2)
+    while enough - too_small > 1:
+        middle = (enough + too_small) // 2
+        if bound(middle) < target:
+            enough = middle
+        else:
+            too_small = middle
+    more = sum(max(0, enough - len(faults.run_ids)) for faults in kernels.values())
+    return f"About {enough:,} faults in each kernel would show it ({more:,} more), if harm stays the same."
+
+
+_MOST_FAULTS = 10_000_000
+"""Faults of a kernel beyond which nobody would fly them."""
+
+
+def _with_faults(faults: KernelFaults, number: int) -> KernelFaults:
+    """A kernel with the harm that it has, or none, and the interval of at least so many faults."""
+    harm = faults.exposed.without_negative_harm().harm.value
+    if len(faults.run_ids) >= number:
+        return faults
+    low, high = score_bounds(harm, number)
+    return KernelFaults(faults.run_ids, ExposedKernel(faults.exposed.instructions, Estimate(harm, low, high)))
+
+
+def _dominant_assumption(kernels: Mapping[str, KernelFaults], upsets: UpsetConfig) -> str:
+    """The uncertainty without which the bound would be lowest, and that bound."""
+    highest = upsets_per_instruction(upsets).high
+    fit = upsets.fit_per_mbit
+    altitude = upsets.altitude
+    exact_fit = Range(value=fit.value, low=fit.value, high=fit.value)
+    exact_altitude = Range(value=altitude.value, low=altitude.value, high=altitude.value)
+    known_fit = upsets_per_instruction(upsets.model_copy(update={"fit_per_mbit": exact_fit}))
+    known_altitude = upsets_per_instruction(upsets.model_copy(update={"altitude": exact_altitude}))
+    bounds = {
+        f"the upset rate of a Mbit, {fit.low:g} to {fit.high:g} FIT": _caused(kernels, known_fit.high).high,
+        f"the altitude, {altitude.low:g} to {altitude.high:g} m": _caused(kernels, known_altitude.high).high,
+    }
+    for name, faults in kernels.items():
+        part = faults.exposed.without_negative_harm()
+        exact = Estimate(part.harm.value, part.harm.value, part.harm.value)
+        known = {**kernels, name: KernelFaults(faults.run_ids, ExposedKernel(part.instructions, exact))}
+        harm = f"{percent(part.harm.low)} to {percent(part.harm.high)}"
+        label = f"the harm of {name}, {harm} ({counted(len(faults.run_ids), 'fault')})"
+        bounds[label] = _caused(known, highest).high
+    dominant = min(bounds, key=lambda label: bounds[label])
+    return f"What widens the bound most: {dominant}; without it {bounds[dominant]:.1e}."

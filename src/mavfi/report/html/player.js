@@ -25,6 +25,7 @@ class Player {
     } catch (error) { // no WebGL: the plan says the same in two dimensions
       this.find(".stage").classList.add("flat");
       this.find(".views").hidden = true;
+      this.find(".turning").hidden = true;
       return { setTime() {}, show() {}, view() {}, build() {}, dispose() {} };
     }
   }

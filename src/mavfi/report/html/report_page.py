@@ -19,6 +19,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from mavfi.analysis.listing import ordered, partner
+from mavfi.analysis.rows import EFFECT_IN_WORDS
 from mavfi.analysis.runs import Runs
 from mavfi.analysis.table import TEXT, Table
 from mavfi.campaign.config import load_campaign
@@ -156,9 +157,7 @@ def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
         place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),
         status=pl.col("status").str.replace_all("_", " "),
         bit=pl.col("bit").cast(pl.String).fill_null(""),
-        effect=pl.when((pl.col("level") == "sensor") & (pl.col("effect") == "sdc"))
-        .then(pl.lit("changed"))
-        .otherwise(pl.col("effect")),
+        effect=EFFECT_IN_WORDS,
     )
     texts = {name: _coded(frame[name]) for name in FILTERS}
     numbers = {name: _rounded(frame[name], digits) for name, digits in NUMBERS.items()}

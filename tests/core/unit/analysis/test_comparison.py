@@ -5,7 +5,9 @@ import pytest
 import mavfi
 from mavfi.analysis.comparison import compare
 from mavfi.analysis.statistics import relative_difference, unpaired_difference
+from mavfi.analysis.table import DIFFERENCE
 from mavfi.errors import BadInputError
+from mavfi.report.text import cell
 from tests.core.unit.analysis.handmade import FAULT, INSTRUCTION, flown, golden, injected, runs
 
 SAVED = range(1, 20)
@@ -36,14 +38,50 @@ def test_shared_runs_are_pairs_and_the_faults_of_a_mission_one_cluster():
 
 def test_the_answer_is_a_sentence():
     first, second = compare(campaign(), campaign(SAVED, time_s=55.0)).sentences
-    assert first.startswith("B fails 25.0 % [1")
-    assert "fewer missions than A, on 80 shared runs with a fault in 40 missions: A fails 50.0 %, B 25.0 %" in first
-    assert second.startswith("Where both succeed, B flies 9.8 % ["), "lost missions are no saving"
+    assert first.startswith("sparse, fi: B fails 25.0 % [1")
+    assert (
+        "fewer missions than A, on 80 shared runs with a fault in 40 missions: A fails 50.0 % [35.2, 64.8], B" in first
+    )
+    assert first.endswith("; without a fault A fails 0.0 % [0.0, 8.8], B 0.0 % [0.0, 8.8].")
+    assert second.startswith("Where both succeed (n = 40), the flight time of B is 9.8 % ["), (
+        "lost missions are no saving"
+    )
     (same,) = compare(campaign(), campaign()).sentences
     assert same == "B flies as A: all 120 shared runs are equal bit for bit."
-    assert (
-        compare(campaign(), campaign(range(1, 2))).sentences[0].startswith("No difference in failures is shown: -2.5")
-    )
+    assert second.endswith("] longer, its energy not shown to differ, [0.0, 0.0] %."), "not 0.0 % more"
+    (not_shown, _) = compare(campaign(), campaign(range(1, 2))).sentences
+    assert not_shown.startswith("sparse, fi: no difference in failures is shown: -2.5")
+
+
+def test_each_setting_stands_by_itself_and_the_headline_names_its_one():
+    """Arms with and without a detector are no one population: with one, half as many missions are lost."""
+
+    def both_arms(saved):
+        entries = []
+        for seed in range(1, 41):
+            entries += [golden(seed), golden(seed, arm="gad")]
+            lost = flown(seed in saved, digest=f"lost or not: {seed in saved}")
+            entries += [injected(seed, lost), injected(seed, flown(), arm="gad")]
+        return runs(*entries)
+
+    comparison = compare(both_arms(range(0)), both_arms(range(1, 21)))
+    assert comparison.answer.setting == "fi" and comparison.answer.n_a == 40
+    assert comparison.answer.failures.rate == pytest.approx(-0.5), "not -0.25, pooled with the other arm"
+    assert comparison.sentences[0].startswith("sparse, fi: B fails 50.0 % [")
+    rows = [
+        [cell(value, column.form) for value, column in zip(row, comparison.table.columns, strict=True)]
+        for row in comparison.table.rows
+    ]
+    assert [row[0] for row in rows] == ["golden", "golden_gad", "fi", "dr_gad"], "no row over several settings"
+    assert rows[0][2] == rows[3][2] == "all equal"
+
+
+def test_a_difference_whose_interval_contains_none_has_no_number():
+    comparison = compare(campaign(), campaign(range(1, 2), time_s=55.0))
+    failures = [row for row in comparison.table.entries() if row["setting"] == "fi"][0]["failures"]
+    assert cell(failures, DIFFERENCE).startswith("not shown [-")
+    golden_only = compare(runs(golden(1)), runs(golden(1, flown(False))))
+    assert golden_only.sentences[0].startswith("sparse, golden: no difference in failures is shown: +100.0 points")
 
 
 def test_other_seeds_are_independent_samples_with_wider_intervals():

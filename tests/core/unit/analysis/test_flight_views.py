@@ -3,6 +3,7 @@
 import pytest
 
 from mavfi.analysis import published as paper
+from mavfi.analysis.flight_views import separable_note
 from mavfi.analysis.table import RATE
 from mavfi.analysis.views import table
 from tests.core.unit.analysis.handmade import DUE, UNKNOWN, flown, golden, injected, runs
@@ -61,6 +62,13 @@ def test_effects_and_endings_add_up(fake):
     no_site = fake.where(site_outcome="no_site", setting="fi")
     assert len(no_site), "missions without an acted-on collision status are in the plan"
     assert no_site.values("effect") == ["masked"]
+
+
+def test_a_difference_of_rates_is_no_more_than_100_points():
+    few = runs(golden(1), golden(2), *(injected(seed, flown(success=seed > 1)) for seed in range(1, 3)))
+    assert separable_note(few) == [
+        "smaller differences, in points, are not distinguished (golden – fi / fi – dr, power 80 %): sparse 100 / 100"
+    ]
 
 
 def test_unknown_flights_are_counted_apart():

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import pytest
 
 from mavfi.analysis.effects import effect_rates
-from mavfi.analysis.requirements import Holds, judge, write_junit
+from mavfi.analysis.requirements import Holds, judge, judge_campaigns, write_junit
 from mavfi.campaign.requirement import Requirement
 from mavfi.errors import BadInputError
 from mavfi.levels.state.fault import StateFault
@@ -40,6 +40,53 @@ def test_a_requirement_holds_if_the_bound_of_its_interval_does(text, lost, n, ho
     assert judged.line.endswith("n too small") == (holds is Holds.NOT_SHOWN and n > 0)
 
 
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        ("fi.lost - gad.lost > 45 %", Holds.YES),  # 30 of 40 less 4 of 40: 65 % [47, 78]
+        ("gad.mission lost - fi.lost < -80 %", Holds.NO),
+        ("gad.mission lost - fi.lost < -40 %", Holds.YES),
+        ("fi.lost - gad.lost > 60 %", Holds.NOT_SHOWN),
+        ("gad.sdc - fi.sdc <= 10 %", Holds.YES),  # every record differs from the golden one
+    ],
+)
+def test_a_difference_of_settings_is_judged_in_pairs_of_the_same_fault(text, holds):
+    entries = []
+    for seed in range(40):
+        entries += [made.golden(seed), made.golden(seed, arm="gad")]
+        entries.append(made.injected(seed, made.flown(seed >= 30)))
+        entries.append(made.injected(seed, made.flown(seed >= 4), arm="gad"))
+    requirement = Requirement.parse(text).of({"gad": "gad"})
+    (judged,) = judge(made.runs(*entries), [requirement])
+    assert judged.holds is holds and judged.rate.n == 40, judged.line
+    assert judged.golden is None and judged.to_json()["requirement"] == text
+
+
+def test_a_difference_of_campaigns_is_judged_in_the_setting_that_is_named():
+    def campaign(lost, lost_with_detector):
+        entries = []
+        for seed in range(40):
+            entries += [made.golden(seed), made.golden(seed, arm="gad")]
+            entries.append(made.injected(seed, made.flown(seed >= lost)))
+            entries.append(made.injected(seed, made.flown(seed >= lost_with_detector), arm="gad"))
+        return made.runs(*entries)
+
+    texts = ("B.lost - A.lost > 10 %", "A.lost - B.lost < -10 %", "gad: A.lost - B.lost < 20 %")
+    requirements = [Requirement.parse(text).of_campaigns() for text in texts]
+    verdicts = judge_campaigns(campaign(0, 1), campaign(12, 1), requirements)
+    assert [verdict.holds for verdict in verdicts] == [Holds.YES] * 3
+    assert [round(verdict.rate.rate, 3) for verdict in verdicts] == [0.3, -0.3, 0.0]
+    with pytest.raises(
+        BadInputError, match="'aad: A.lost - B.lost < 2 %': dr_aad is not compared; compared: dr_gad, f"
+    ):
+        judge_campaigns(campaign(0, 0), campaign(0, 0), [Requirement.parse("aad: A.lost - B.lost < 2 %")])
+
+
+def test_of_missions_the_rate_without_a_fault_stands_beside():
+    judged = verdict("success >= 90 %", *[made.flown()] * 40)
+    assert judged.line.endswith("n = 40; without a fault 100.0 % [91.2, 100.0], n = 40")
+
+
 def test_arms_alarms_and_recovery_are_those_of_the_arm():
     lost, won = made.flown(success=False), made.flown(alarms=[made.alarm(0.3)])
     runs = made.runs(
@@ -60,11 +107,25 @@ def test_arms_alarms_and_recovery_are_those_of_the_arm():
         ("sdc < 5", "not understood; allowed: MEASURE < 5 %"),
         ("sdk < 5 %", r"measure 'sdk': not known \(did you mean 'sdc'\?\); allowed: masked, sdc"),
         ("sdc < 101 %", "101 %: allowed: 0 to 100"),
+        ("fi.lost - gad.sdc < 2 %", "a difference of lost and sdc: allowed: one measure"),
+        ("fi.lost - fi.lost < 2 %", "fi less itself; allowed: two names"),
+        ("fi.recovered - gad.recovered < 2 %", "measure 'recovered': not known; allowed: masked, sdc"),
+        ("fi.lost - gad.lost < -101 %", "-101 %: allowed: -100 to 100"),
     ],
 )
 def test_a_text_that_is_no_requirement_is_refused(text, message):
     with pytest.raises(BadInputError, match=message):
         Requirement.parse(text)
+
+
+def test_a_difference_names_settings_of_the_campaign_or_two_campaigns():
+    with pytest.raises(BadInputError, match=r"setting 'gat': not known .*; allowed: fi, gad"):
+        Requirement.parse("fi.lost - gat.lost < 2 %").of({"gad": "gad"})
+    with pytest.raises(BadInputError, match="no ARM: before a difference of settings"):
+        Requirement.parse("gad: fi.lost - gad.lost < 2 %").of({"gad": "gad"})
+    for text in ("success > 5 %", "fi.lost - gad.lost < 2 %"):
+        with pytest.raises(BadInputError, match="is not about A and B; allowed: 'A.MEASURE - B.MEASURE < 2 %'"):
+            Requirement.parse(text).of_campaigns()
 
 
 def test_effects_of_programs_have_no_success():

@@ -1,3 +1,4 @@
+import os
 import re
 import subprocess
 import sys
@@ -45,6 +46,18 @@ def test_help_without_arguments_names_every_verb(capsys):
 def test_it_is_run_as_a_module_too():
     done = subprocess.run([sys.executable, "-m", "mavfi", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == __version__
+
+
+@pytest.mark.parametrize("arguments", [["states"], ["--help"]], ids=" ".join)
+def test_a_reader_that_has_ended_is_no_failure(arguments):
+    """`mavfi ... | head` ends with the code of the command."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as nobody:
+        done = subprocess.run(
+            [sys.executable, "-m", "mavfi", *arguments], stdout=nobody, stderr=subprocess.PIPE, text=True
+        )
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 STRUCK = """

@@ -77,6 +77,11 @@ def test_a_larger_campaign_keeps_what_is_flown_and_is_compared_with_the_smaller_
     text = capsys.readouterr().out
     assert text.startswith("B flies as A: all 4 shared runs are equal bit for bit.")
     assert f"B: {grown}" in text and "4 runs have no partner" in text
+    assert run(["compare", str(flown), str(grown), "--require", "A.lost - B.lost < 2 %"]) == 3
+    verdict = capsys.readouterr().out.splitlines()[-1]
+    assert verdict.startswith("not shown  A.lost - B.lost < 2 %: 0.0 % [") and verdict.endswith(", n = 3: n too small")
+    assert run(["compare", str(flown), str(grown), "--require", "lost < 2 %"]) == 2
+    assert "'lost < 2 %': is not about A and B" in capsys.readouterr().err
     data = _json(capsys, "compare", str(flown), str(grown))
     assert data["answer"]["same"] == data["answer"]["n_a"] == 3
 
@@ -104,7 +109,8 @@ def test_a_requirement_that_is_not_shown_is_exit_code_3_and_no_part_of_the_campa
     command = ["campaign", "run", str(path), "--out", str(flown), "--workers", "1"]
     assert run([*command, "--junit", str(tmp_path / "junit.xml")]) == 3
     first, second, *_ = capsys.readouterr().out.splitlines()
-    assert first.startswith("holds      success >= 1 %: ") and second.endswith(", n = 3: n too small")
+    assert first.startswith("holds      success >= 1 %: ") and "; without a fault 100.0 % [" in first
+    assert second.endswith(": n too small")
     assert (tmp_path / "junit.xml").read_text().count("<testcase ") == 2
     assert _json(capsys, "campaign", "digest", str(flown))["digest"] == digest
     assert run(["campaign", "run", str(config), "--out", str(flown), "--workers", "1", "--require", "sdc > 1 %"]) == 0

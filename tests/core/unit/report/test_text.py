@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from mavfi.analysis.statistics import EventRate, Rate
+from mavfi.analysis.statistics import Estimate, EventRate, Rate
 from mavfi.report import numbers, text
 from tests.core.unit.analysis.handmade import ABOUT, GOLDEN, UNKNOWN, flown, golden, injected, null, runs
 
@@ -26,10 +26,21 @@ def test_rate_with_count():
         (21404.7, "number .1f kJ", "21.4 kJ"),
         (0.000488, "number .3g", "0.000488"),
         (0.0000023, "small percent", "0.00023 %"),
+        (Rate(9, 0.01, -0.2, 0.22), "number difference", "not shown [-20, 22]"),
+        (Rate(9, -0.3, -0.4, -0.05), "number difference", "-30.0 [-40, -5.0]"),
+        (Estimate(0.0, 0.0, 6.2e-12), "estimate", "0 [0, 6.2e-12]"),
     ],
 )
 def test_cells(value, form, shown):
     assert text.cell(value, form) == shown
+
+
+@pytest.mark.parametrize(
+    ("bound", "shown"),
+    [(1.0, "100 %"), (0.995, "100 %"), (0.7764, "78 %"), (0.0141, "1.5 %"), (0.00190, "0.19 %"), (0.0, "0 %")],
+)
+def test_an_upper_bound_is_rounded_up(bound, shown):
+    assert numbers.upper_percent(bound) == shown
 
 
 @pytest.mark.parametrize(

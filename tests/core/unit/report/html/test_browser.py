@@ -75,6 +75,8 @@ def test_without_webgl_the_flight_is_shown_from_above(browser, flight_html, tmp_
     browser.open(page)
     assert browser.run("return getComputedStyle(document.querySelector('.plan')).display") == "block"
     assert browser.count(".plan polyline") == 2
+    keys = browser.run("return document.querySelector('.keys').innerText")
+    assert keys.startswith("Keys: space plays"), "nothing can be turned"
     browser.click(".to-fault")
 
 
