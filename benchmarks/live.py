@@ -16,7 +16,7 @@ import numpy as np
 from mavfi.extras.logs.live import LiveView
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.loop import ObserverListener
+from mavfi.flight.observers import ObserverListener
 from mavfi.mission import MissionSpec
 from tests.extras.logs.viewer import Viewer
 from tools.markers import DOCS, fill

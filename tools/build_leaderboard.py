@@ -23,7 +23,16 @@ from mavfi.analysis.table import RATE, Column, Table
 from mavfi.api import load, table
 from mavfi.campaign.config import load_campaign
 from mavfi.errors import BadInputError
-from mavfi.extras.bench.bench import FOLDER, ROWS, SCORES, Bench, level_of, load_bench, published_rows, scheme_of
+from mavfi.extras.bench.bench import (
+    FOLDER,
+    ROWS_ENDING,
+    SCORES_TABLE,
+    Bench,
+    level_of,
+    load_bench,
+    published_rows,
+    scheme_of,
+)
 from mavfi.extras.bench.leaderboard import default_folder, text_rows
 from studies.five_rules.__main__ import rules
 from tools import results
@@ -188,12 +197,13 @@ def write_page(bench: Bench) -> Path:
     rows = {name: published_rows(bench, name, PUBLISHED) for name in bench.parts}
     folder = f"../../configs/{FOLDER}/{NAME}"
     about = [
-        f"[{bench.parts[name].title}]({folder}/{name}-{PUBLISHED}{ROWS}); its [faults]({folder}/{name}-{PUBLISHED}.csv)"
+        f"[{bench.parts[name].title}]({folder}/{name}-{PUBLISHED}{ROWS_ENDING}); "
+        f"its [faults]({folder}/{name}-{PUBLISHED}.csv)"
         for name in rows
         if rows[name]
     ]
     about += [
-        f"[detection against false alarms](tables/{PAGE}/{SCORES}.csv) at any threshold, "
+        f"[detection against false alarms](tables/{PAGE}/{SCORES_TABLE}.csv) at any threshold, "
         "[as curves](../images/curves-paper.png)",
         "cost of detection: [detectors](../reference/detectors.md#cost); alarms that come late: "
         "[ROS](../how-to/ros2.md#coupling); faults that last: [their page](lasting.md)",
@@ -202,7 +212,7 @@ def write_page(bench: Bench) -> Path:
     fill(ROOT / "README.md", {"recovery": recovery, "recommended": recommended_item(recovery)})
     excerpts = [results.Excerpt("summary", lambda row: row["scheme"] in bench.arms)]
     title = f"Leaderboard of {NAME}"
-    return results.write(PAGE, title, TEXT, summary(bench, rows), excerpts, about, keep=(SCORES,))
+    return results.write(PAGE, title, TEXT, summary(bench, rows), excerpts, about, keep=(SCORES_TABLE,))
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -226,14 +236,14 @@ def main(arguments: Sequence[str]) -> int:
         freeze(folder, scale)
         for part in flown:
             rows = text_rows(table(load(folder / part), bench.parts[part].view))
-            publish(bench, ROOT / "configs" / FOLDER / NAME / f"{part}-{scale}{ROWS}", rows)
+            publish(bench, ROOT / "configs" / FOLDER / NAME / f"{part}-{scale}{ROWS_ENDING}", rows)
         if scale != PUBLISHED:
             return 0
 
         # what combines parts, if it was computed, and the pages
-        if (folder / f"{SCORES}.csv").is_file():
-            with (folder / f"{SCORES}.csv").open(encoding="utf-8", newline="") as file:
-                publish(bench, results.TABLES / PAGE / f"{SCORES}.csv", list(csv.DictReader(file)))
+        if (folder / f"{SCORES_TABLE}.csv").is_file():
+            with (folder / f"{SCORES_TABLE}.csv").open(encoding="utf-8", newline="") as file:
+                publish(bench, results.TABLES / PAGE / f"{SCORES_TABLE}.csv", list(csv.DictReader(file)))
             shutil.copy(folder / "curves.png", IMAGES / "curves-paper.png")
         if {"sites", "instruction"} <= set(flown):
             fill(DOCS / "concepts" / "engineers.md", {"rules": rules(folder / "sites", folder / "instruction")})

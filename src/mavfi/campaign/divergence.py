@@ -195,7 +195,7 @@ def _project(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndar
     distance[finite], row = cKDTree(path).query(position)
     golden_time[finite] = time[row]
 
-    # the nearest point on the leg before it, and on the leg after it
+    # the nearest point on the leg before it, and on the leg after it, where that is nearer than the recorded position
     for begin in (np.maximum(row - 1, 0), np.minimum(row, max(0, len(path) - 2))):
         end = np.minimum(begin + 1, len(path) - 1)
         leg = path[end] - path[begin]

@@ -13,7 +13,7 @@ from mavfi.errors import BadInputError
 from mavfi.plugins import extensions
 
 if TYPE_CHECKING:
-    from mavfi.flight.loop import ObserverListener
+    from mavfi.flight.observers import ObserverListener
 
 OBSERVERS = "mavfi.observers"
 """Group of entry points: a `FlightObserver` by the name of its option."""
@@ -62,7 +62,7 @@ def observing(
     if not chosen:
         yield ()
         return
-    from mavfi.flight.loop import ObserverListener
+    from mavfi.flight.observers import ObserverListener
 
     attached: list[ObserverListener] = []
     with ExitStack() as stack:

@@ -22,14 +22,14 @@ class SimulatedShare:
 
     Attributes:
         ticks: Control periods of all flights.
-        flown: Those of them that were simulated.
-        shown: Those in which a detector only checked the publications of a known flight.
+        simulated: Those of them that were simulated.
+        replayed: Those in which a detector only checked the publications of a known flight.
         converged: Number of flights that converged to another one before their end.
     """
 
     ticks: int = 0
-    flown: int = 0
-    shown: int = 0
+    simulated: int = 0
+    replayed: int = 0
     converged: int = 0
 
 
@@ -225,7 +225,7 @@ class FlightBranch:
             return False
         if self._raises_alarm(known_flight, piece_start, piece_end):
             return False
-        self._forward.share.shown += piece_end.rows - piece_start.rows
+        self._forward.share.replayed += piece_end.rows - piece_start.rows
         if not self._has_simulated or isinstance(self.loop.taps.injector, CounterWatch):
             self.loop.taps.injector = piece_end.injector.copy()  # else it has the record of this flight's injection
         self._append(known_flight, piece_start, piece_end)
@@ -269,7 +269,7 @@ class FlightBranch:
             self._has_simulated = True
             rows = len(record.rows)
             loop.run((rows // pitch + 1) * pitch)
-            self._forward.share.flown += len(record.rows) - rows
+            self._forward.share.simulated += len(record.rows) - rows
             if loop.status is None:
                 self._arrive_at_checkpoint()
             else:
@@ -324,9 +324,9 @@ class FlightBranch:
                     continue  # its own detector raises an alarm at once: nothing of it could be followed
             if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(checkpoint.injector):
                 continue  # a later injector would count publications otherwise
-            key = id(checkpoint.instant)
-            if key not in is_here:
-                is_here[key] = is_at(loop, checkpoint.here)
-            if is_here[key]:
+            instant = checkpoint.here
+            if id(instant) not in is_here:
+                is_here[id(instant)] = is_at(loop, instant)
+            if is_here[id(instant)]:
                 return known_flight
         return None

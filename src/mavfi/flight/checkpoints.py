@@ -129,9 +129,8 @@ def _scratch(loop: Loop) -> dict[str, tuple[Scratch, ...]]:
 def _normalize(loop: Loop) -> None:
     """Bring what has no effect on the flight into one form, so that equivalent states compare equal.
 
-    Idle planning kernels are marked: they are rolled
-    back only on one of their own publications, whose step marks them first.  A kernel with a pending recomputation
-    request keeps its mark.
+    Idle planning kernels are marked: they are rolled back only on one of their own publications, whose step marks them
+    first.  A kernel with a pending recomputation request keeps its mark.
     """
     loop.state.normalize()
     for kernel in loop.kernels.values():

@@ -10,8 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from mavfi import config as configs
-from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, PlannerConfig, names, parse, shipped
+from mavfi.config import (
+    SCAN_ENDINGS,
+    AutopilotConfig,
+    CameraConfig,
+    Config,
+    EnvironmentConfig,
+    LocalizationConfig,
+    MapConfig,
+    PlannerConfig,
+    PlatformConfig,
+    WindConfig,
+    names,
+    parse,
+    shipped,
+)
 from mavfi.detectors.detector import Detector, blind_spots, check_states
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import Loaded, load_detector, mission_keys
@@ -19,7 +32,8 @@ from mavfi.errors import BadInputError
 from mavfi.faults.plug_ins import plug_ins_of_spec
 from mavfi.flight.decide import INLINE, RecoveryPolicy
 from mavfi.flight.host import ArmSetup
-from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, Profiler, latency, stage_latency
+from mavfi.flight.latencies import latency, stage_latency
+from mavfi.flight.loop import CONTROL_PERIOD_US, Loop, Profiler
 from mavfi.flight.plant import MakePlant
 from mavfi.flight.recovery import DetectorTap, Duplicates
 from mavfi.flight.restarts import Restarts
@@ -34,7 +48,7 @@ from mavfi.pipeline.ppc import build_pipeline, find_kernel
 from mavfi.rewriting import rewriter
 from mavfi.sim import imu
 from mavfi.sim.controller import find_controller
-from mavfi.sim.environments import World, build_world, environment_for_file, find_generator
+from mavfi.sim.environments import World, environment_for_file, find_generator, scenario_world
 from mavfi.sim.environments.registry import SCAN_GENERATOR
 from mavfi.sim.imported import ENVIRONMENT_FILES, EnvironmentReader, extensions_of, reader_of
 from mavfi.sim.mjcf import find_vehicle
@@ -112,10 +126,10 @@ def resolve(spec: MissionSpec) -> Scenario:
         speed = environment.v_max or _DEFAULT_V_MAX
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
-    camera = configs.CameraConfig(noise=spec.depth_noise)
+    camera = CameraConfig(noise=spec.depth_noise)
     camera_range = spec.camera_range or environment.camera_range
     if camera_range is not None:
-        camera = configs.CameraConfig(noise=spec.depth_noise, range=camera_range)
+        camera = CameraConfig(noise=spec.depth_noise, range=camera_range)
     resolution = spec.map_resolution
     if resolution is None:
         resolution = environment.map_resolution
@@ -144,8 +158,8 @@ def resolve(spec: MissionSpec) -> Scenario:
         v_max=speed,
         start=spec.start,
         goal=spec.goal,
-        wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
-        localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
+        wind=parse(WindConfig, {"gust": spec.wind}, "wind"),
+        localization=parse(LocalizationConfig, {"kind": spec.localization}, "localization"),
         dead_node=spec.dead_node,
         flight_controller=spec.flight_controller,
         kernels=_own_kernels(spec),
@@ -167,9 +181,9 @@ def _read_from(source: str, key: str) -> Iterator[None]:
         raise type(error)(f"{source}: key {key!r}: {error}") from None
 
 
-def _platform(spec: MissionSpec, protection: configs.Config | None) -> configs.PlatformConfig:
+def _platform(spec: MissionSpec, protection: Config | None) -> PlatformConfig:
     """The computer, on which a protected kernel takes as much longer as was measured."""
-    platform = shipped("platforms", configs.PlatformConfig, spec.platform)
+    platform = shipped("platforms", PlatformConfig, spec.platform)
     if protection is None:
         return platform
     absent = set(PLANNERS) - {find_planner(spec.planner).name}
@@ -189,23 +203,23 @@ def _own_kernels(spec: MissionSpec) -> dict[str, str]:
     return kernels
 
 
-def _autopilot(spec: MissionSpec) -> configs.AutopilotConfig:
+def _autopilot(spec: MissionSpec) -> AutopilotConfig:
     """The autopilot profile with the mission's overrides."""
     overrides = {}
     for key in _AUTOPILOT_KEYS:
         value = getattr(spec, key)
         if value is not None:
             overrides[key] = value
-    return shipped("autopilots", configs.AutopilotConfig, spec.autopilot).model_copy(update=overrides)
+    return shipped("autopilots", AutopilotConfig, spec.autopilot).model_copy(update=overrides)
 
 
-def _map_config(kind: str, resolution: float | None) -> configs.MapConfig:
+def _map_config(kind: str, resolution: float | None) -> MapConfig:
     """The map's configuration; resolution (m): None = the default."""
     keys: dict[str, Any] = {"kind": kind}
     if resolution is not None:
         keys["resolution"] = resolution
     find_map(kind)
-    return parse(configs.MapConfig, keys, "map")
+    return parse(MapConfig, keys, "map")
 
 
 def pipeline_config(
@@ -253,7 +267,7 @@ def pipeline_config(
     )
 
 
-def noise_of(config: configs.LocalizationConfig) -> Noise | None:
+def noise_of(config: LocalizationConfig) -> Noise | None:
     """Noise parameters of the estimator: the sensors' noise, bounded below by the resolution of its 4 ms steps."""
     if config.kind == "truth":
         return None
@@ -295,7 +309,7 @@ def new_loop(
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
+    world = scenario_world(scenario)
     plant = make_plant(world, scenario)
     config = pipeline_config(scenario, world, plant.ray_directions, rewindable=rewindable, functions=functions)
     if world.is_voxels:
@@ -388,7 +402,7 @@ def detector_for(
         BadInputError: The detector, profile or model does not exist.
         SpecMismatchError: The model was trained for a different configuration.
     """
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
+    world = scenario_world(scenario)
     mission = {
         "stack": scenario.autopilot.name,
         "platform": scenario.platform.name,

@@ -143,18 +143,15 @@ class FastForward(BranchedLoop):
         if arm.takes_part or arm.checks_before_injector(fault.changed_state):
             return self._fly_injected(fault, arm, own_golden, [])
 
-        # If nothing has happened before the fault, the run without a detector is identical up to the first alarm.
         plain_golden = self.golden()
         without_detector = None
-        rows = own_golden.before(fault.time_us)
-        plain_start = plain_golden.checkpoints.get(rows)
-        is_plain = plain_start is not None and own_golden.checkpoints[rows].instant is plain_start.instant
-        if arm.detector is not None and is_plain and fault.has_site:
-            without_detector = self._with_fault(fault, NO_DETECTOR)
-
-        # After an alarm, it may converge to the golden flight, or to that with the fault under another detector.
         others = [plain_golden]
         if arm.detector is not None:
+            # Up to its first alarm it equals the run without a detector, if no alarm precedes the fault.
+            rows = own_golden.before(fault.time_us)
+            if fault.has_site and own_golden.shares_instant(plain_golden, rows):
+                without_detector = self._with_fault(fault, NO_DETECTOR)
+            # After an alarm it may converge to the golden flight, or to one with the fault under another detector.
             with_fault = [flight for flight in self._flights_with_fault.values() if flight.checkpoints]
             others = [*with_fault, plain_golden]
         known_flight = self._fly_injected(

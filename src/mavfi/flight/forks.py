@@ -21,7 +21,7 @@ at or after its instant.
 import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -136,11 +136,10 @@ class Forks(Listener):
         if ended is None:
             assert self.child is not None  # this is the child
             is_protected = self._rewriting is not None
-            return CallResult(
-                self.child.call(
-                    variant, fault, function, args, is_protected=is_protected, calls_may_shift=self._calls_may_shift
-                )
+            result = self.child.call(
+                variant, fault, function, args, is_protected=is_protected, calls_may_shift=self._calls_may_shift
             )
+            return CallResult(result)
         case.value = variant.report()
         case.how = ended.how
         case.detail = ended.detail
@@ -196,11 +195,11 @@ class Forks(Listener):
 
     def _fork(self, case: FaultCase, *, step_fails: bool) -> ChildEnd | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
-        split = split_at_call()
-        if split.ended is None:
-            self.child = ForkedChild(split.point, case, step_fails)
+        point, ended = split_at_call()
+        if ended is None:
+            self.child = ForkedChild(point, case, step_fails)
             self._loop.forked = True
-        return split.ended
+        return ended
 
     def _end_outside_of_pipeline(self, fault: CallFault) -> None:
         """In a child whose call died in no step of a kernel: end the detector, or the flight controller."""
@@ -237,21 +236,18 @@ class Forks(Listener):
             self._approach.restarts().die(kernel.name, now, round(1e6 * case.fault.restart_s))
 
 
-class ForkedCall(NamedTuple):
-    """A fork at an injected call: the point, and how the child ended; None = this is the child."""
+def split_at_call() -> tuple[ForkPoint, ChildEnd | None]:
+    """Fork; a child that exceeds the wall-clock limit is followed by others.
 
-    point: ForkPoint
-    ended: ChildEnd | None
-
-
-def split_at_call() -> ForkedCall:
-    """Fork; a child that exceeds the wall-clock limit is followed by others."""
+    Returns:
+        The fork, and how the child ended; None = this is the child.
+    """
     for _ in range(_ATTEMPTS):
         point = ForkPoint()
         ended = split_noting_calls(point, TIMEOUT)
         if ended is None or ended.detail != WALL_CLOCK:
             break
-    return ForkedCall(point, ended)
+    return point, ended
 
 
 def _report_of(ended: ChildEnd) -> ChildReport:

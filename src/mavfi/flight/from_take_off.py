@@ -57,9 +57,10 @@ def fly_instruction_faults(
     published: list[list[Published]] = []
     if approach.publications is not None:
         for case in cases:
-            # A run that ended as equal to the golden one has published the same.
-            of_child = case.report.published if case.report is not None else None
-            published.append(approach.publications if of_child is None else of_child)
+            if case.report is None or case.report.published is None:
+                published.append(approach.publications)  # the run equals the golden flight
+            else:
+                published.append(case.report.published)
     return InjectedRuns(golden, [flight_of(case, golden) for case in cases], published)
 
 

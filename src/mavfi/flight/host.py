@@ -81,13 +81,17 @@ class DetectorChoice(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
-    """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
+    """Configuration of one arm.
 
-    Hosts that train detectors themselves (`Host.trains`) get the `choice` in place of a factory.  A single mission has
-    the `label` of its detector (name, and profile if it has one), and the hash of its trained `model`.
-
-    Observers (`flight.loop.Listener`) take part in flights of the host `firmware`, and of the host `local` without
-    fast-forward, except for faults in instructions.
+    Attributes:
+        scenario: The mission.
+        make_detector: Constructs the detector; None = no detector.
+        recovery: The recovery policy for its alarms.
+        observers: Instances of `flight.loop.Listener` that take part in flights of the host `firmware`, and of the host
+            `local` without fast-forward, except for faults in instructions.
+        choice: The detector of hosts that train it themselves (`Host.trains`), in place of `make_detector`.
+        label: Name of a single mission's detector, and its profile if it has one.
+        model: Hash of a single mission's trained model.
     """
 
     scenario: Scenario
@@ -173,7 +177,7 @@ class ArmFlights(ABC):
 
 
 class Host(ABC):
-    """Execution environment of missions; a class whose one optional argument is what is under test instead of ours.
+    """Execution environment of missions; the one optional argument of a subclass is what it tests, e.g. a program.
 
     Attributes:
         name: Name in configuration files.
@@ -181,10 +185,10 @@ class Host(ABC):
         flies: Whether the results of runs are of type `Flight`, which can be drawn.
         trains: Whether it trains the detectors of arms itself, on its runs without a fault.
         in_process: Whether flights compile and load code in this process, so that forked workers inherit it.
-        single_levels: Levels whose faults single missions are flown with at this host, unless the host `local` can.
+        single_levels: Levels of faults for which a single mission is flown at this host, if the host `local` cannot.
         config: Model of what is under test; None = our pipeline.
         config_key: Key of a campaign that has its values.
-        samplings: Levels whose faults campaigns draw otherwise than in flights, by name: subclasses of the level.
+        samplings: Levels whose faults are drawn otherwise than for flights: by name, the level's subclass that does so.
     """
 
     name: str

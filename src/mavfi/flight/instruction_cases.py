@@ -73,10 +73,12 @@ class FaultCase:
 
     Attributes:
         fault: The sampled fault.
-        kernel: The injected kernel of the pipeline, "" = the detector or recovery; `call` of its function is injected,
-            at `time_us` (us).
+        kernel: The injected kernel of the pipeline; "" = the detector or recovery.
+        call: Number of the injected call of its function.
+        time_us: Instant of the call (us).
         value: The injected value, as reported by the machine code.
-        how: How the call ended, or `WAITING`; `detail`: as in `KernelEffect`.
+        how: How the call ended: "done", `DETECTED`, or the effect by which its process died; `WAITING` before.
+        detail: See `KernelEffect`.
         report: Report of the child that completed the flight.
         golden: Error-free output of the kernel in the same step.
     """
@@ -114,12 +116,12 @@ def _effect(case: FaultCase, golden: FlightLog) -> KernelEffect:
     if case.how != "done" or report is None:
         return KernelEffect(case.how, case.detail, None)
     difference = None
-    if report.log is None:
+    if report.log is None:  # the child ended at the call, in which the fault changed nothing
         is_masked = True
     elif report.output is not None and case.golden is not None:
         is_masked = report.output.same(case.golden)
         difference = first_difference(case.golden, report.output)
-    else:
+    else:  # the call is in no step, or its step has no output
         is_masked = report.call_same and report.log.digest() == golden.digest()
     effect = "masked" if is_masked else "sdc"
     return KernelEffect(effect, case.detail, difference)
@@ -137,14 +139,14 @@ def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
         if state not in injected.states:
             return _difference(state, "", None, len(elements), 0, 1, math.inf)
         other_header, other_elements = injected.states[state]
+        difference = _in_fields(state, header, other_header, in_list=False)
+        if difference is not None:
+            return difference
         length = len(elements)
         other_length = len(other_elements)
-        difference = _in_fields(state, header, other_header, in_list=False)
-        if difference is None and length != other_length:
-            largest = float(abs(length - other_length))
-            difference = _difference(state, "elements", None, length, other_length, 1, largest)
-        if difference is None:
-            difference = _in_fields(state, elements, other_elements, in_list=True)
+        if length != other_length:
+            return _difference(state, "elements", None, length, other_length, 1, float(abs(length - other_length)))
+        difference = _in_fields(state, elements, other_elements, in_list=True)
         if difference is not None:
             return difference
     return None

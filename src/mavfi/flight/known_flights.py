@@ -65,6 +65,12 @@ class KnownFlight:
     checkpoints: dict[int, Checkpoint]
     end: Checkpoint
 
+    def shares_instant(self, other: "KnownFlight", rows: int) -> bool:
+        """Whether both flights are in the same state at `rows`: checkpoints of equal states hold the same instant."""
+        here = self.checkpoints.get(rows)
+        there = other.checkpoints.get(rows)
+        return here is not None and there is not None and here.instant is there.instant
+
     def before(self, time_us: int) -> int:
         """Number of rows of the last checkpoint before an instant (us); 0 if there is none."""
         return max((rows for rows in self.checkpoints if rows * CONTROL_PERIOD_US < time_us), default=0)

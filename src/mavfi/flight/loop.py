@@ -4,22 +4,20 @@ The plant advances to the current instant; kernels step when their period elapse
 published through the taps after the platform's latency; the control command drives the plant; a status ends the flight.
 """
 
-import hashlib
 import heapq
 import math
 import sys
-import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 from weakref import proxy
 
 import numpy as np
 
-from mavfi.config import LocalizationConfig, PlatformConfig
-from mavfi.errors import BadInputError
+from mavfi.config import LocalizationConfig
 from mavfi.faults.acted_on import ActedOn
 from mavfi.flight.decide import SCANNING, Action, Response
 from mavfi.flight.host import Flight
+from mavfi.flight.latencies import Latencies, latency
 from mavfi.flight.plant import Plant
 from mavfi.flight.state import EventKind, FlightState
 from mavfi.flight.taps import Taps
@@ -50,68 +48,6 @@ _REQUESTED_AT_TICKS = tuple(
     name for name, spec in KERNELS.items() if spec.stage is Stage.PLANNING and spec.trigger == "input"
 )
 """Kernels whose requested recomputation starts at the next control period, not at the next input."""
-
-
-# ---- modelled computers: latency of results in simulated time -------------------------------------------------------
-def latency(platform: PlatformConfig, kernel: str) -> int:
-    """Latency of a kernel (us); `BadInputError` if the platform does not define it."""
-    if KERNELS[kernel].on_flight_controller:
-        return 0
-    try:
-        return platform.latency_us[kernel]
-    except KeyError:
-        raise BadInputError(
-            f"platform {platform.name}: key 'latency_us': no kernel {kernel!r}; it has {', '.join(platform.latency_us)}"
-        ) from None
-
-
-def stage_latency(platform: PlatformConfig, stage: Stage) -> int:
-    """Cost of rerunning a stage (us)."""
-    return sum(latency(platform, kernel) for kernel in STAGE_KERNELS[stage])
-
-
-class Latencies:
-    """Latencies as charged in a flight (us).
-
-    On a real computer a kernel takes another time in each run.  With a jitter j, each latency is therefore multiplied
-    by a factor drawn uniformly from 1 / (1 + j) to 1 + j.  The factor is a hash of seed, kernel and instant: no
-    generator has a state that a checkpoint would have to contain.
-
-    Args:
-        platform: The computer.
-        seed: Seed of the mission.
-        jitter: The jitter j; 0 = none.
-    """
-
-    def __init__(self, platform: PlatformConfig, seed: int = 0, jitter: float = 0.0) -> None:
-        self._platform = platform
-        self._seed = seed
-        self._jitter = jitter
-
-    def of_kernel(self, kernel: str, now: int) -> int:
-        """Latency of a kernel's step at an instant (us)."""
-        nominal_us = latency(self._platform, kernel)
-        if self._jitter == 0.0:
-            return nominal_us
-        return round(nominal_us * self._factor(kernel, now))
-
-    def of_stage(self, stage: Stage, now: int) -> int:
-        """Cost of rerunning a stage at an instant (us)."""
-        return sum(self.of_kernel(kernel, now) for kernel in STAGE_KERNELS[stage])
-
-    def of_recomputation(self, kernel: str, stage: Stage, now: int) -> int:
-        """Cost of recomputing after an alarm on a kernel's result: its stage's; 0 on the flight controller."""
-        if KERNELS[kernel].on_flight_controller:
-            return 0
-        return self.of_stage(stage, now)
-
-    def _factor(self, kernel: str, now: int) -> float:
-        """Latency / nominal latency of a kernel's step at an instant (us)."""
-        digest = hashlib.blake2b(f"{self._seed} {kernel} {now}".encode(), digest_size=8).digest()
-        share = (int.from_bytes(digest, "little") >> 11) / 2**53  # as many bits as a float has, in [0, 1)
-        longest = 1.0 + self._jitter
-        shortest = 1.0 / longest
-        return shortest + (longest - shortest) * share
 
 
 # ---- when a mission ends --------------------------------------------------------------------------------------------
@@ -358,6 +294,7 @@ class Loop:
         self.state = FlightState(self._start_position.copy())
         self.taps = Taps()
         self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
+        # Set by `Restarts`, without which no event asks for a restart.
         self.restart: Callable[[int, str, DeadNode], None]
 
     @property
@@ -415,7 +352,7 @@ class Loop:
             if kind is EventKind.TICK and len(self.record.rows) >= until:
                 return
             flight.now, _, kind, arguments = heapq.heappop(flight.queue)
-            # The plant stops at the first physics step at or after this instant.
+            # The plant stops at the first physics step at or after this instant: -(-a // b) rounds a / b up.
             self.plant.advance(-(-flight.now // STEP_US) * STEP_US)
             HANDLERS[kind](self, flight.now, *arguments)
 
@@ -585,7 +522,7 @@ class Loop:
         self.state.schedule(time_us, EventKind.ARRIVE, state)
 
     def _arrive(self, now: int, state: State) -> None:
-        """Hand such a message to its consumers."""
+        """Hand a message that was held back or sent once more to its consumers."""
         seen = self.taps.arrive(state, now)
         if seen is not None:
             self.publish(seen, now)
@@ -595,12 +532,15 @@ class Loop:
         flight = self.state
         name = state.spec.name
         self.record.published(state, now)
+
+        # Its consumers: a kernel whose step becomes due starts at once, or when its step in progress is done.
         for kernel in self.readers[name]:
             if kernel.receive(state, now) and kernel.name not in PERIODIC:
                 if kernel.name in flight.busy:
                     flight.busy[kernel.name] = state
                 else:
                     self.start(kernel, now)
+
         # What the loop itself does with the value.
         match name:
             case "control.command":  # the flight controller receives it
@@ -627,22 +567,26 @@ class Loop:
         """Restore memory and repeat the step, or request another way-point; charges the latency again."""
         kernel: Any = self.kernels[action.kernel]
         cost_us = self.charge(action, now)
-        # requests to the setpoint generator
+
+        # Requests to the setpoint generator, which answers with a way-point.
         if action.kind is Response.STOP:
             self.finish(kernel, kernel.stop(), now, cost_us)
             return
         if action.kind is Response.ABANDON:
             self.finish(kernel, kernel.abandon(now), now, cost_us)
             return
-        # the step of one kernel, or that of its stage
+
+        # The step of one kernel, on its previous inputs and with its own latency.
         if action.alone:
             repeat(kernel)
             self.start(kernel, now)
             return
+
+        # The whole stage, with the latency of the stage; in perception each kernel charges its own.
         for name in action.restores:
             self.kernels[name].rollback()
         if action.kernel in SCANNING:
-            self.start(kernel, now)  # the kernels after it charge their own latencies
+            self.start(kernel, now)
         else:
             self.start(kernel, now, cost_us)
 
@@ -732,70 +676,4 @@ HANDLERS: dict[EventKind, Callable[..., None]] = {
     EventKind.RESTART: lambda loop, now, name, policy: loop.restart(now, name, policy),
     EventKind.CALL: lambda _, now, function: function(now),
 }
-"""What handles an event of each kind; arguments: loop, instant (us), and those of the event."""
-
-
-# ---- observers ------------------------------------------------------------------------------------------------------
-FlightItem = Event | AlarmRecord | Injection
-
-
-class Observer(Protocol):
-    """Receives a running flight; it must not change what it receives."""
-
-    def begin(self, loop: Loop) -> None:
-        """The flight is about to start."""
-
-    def published(self, state: State, time_us: int) -> None:
-        """A publication, as consumers receive it, and its instant (us)."""
-
-    def tick(self, row: np.ndarray, items: list[FlightItem], status: MissionStatus | None) -> None:
-        """A control period has elapsed.
-
-        Args:
-            row: Its row in the flight log, see `record.COLUMNS`. Shape (21,).
-            items: Events, alarms and injections since the last one.
-            status: Status at the end of the mission; None = it has not ended.
-        """
-
-
-class ObserverListener(Listener):
-    """Shows a flight to an observer; alarms are reported with the outcome known at the end of their control period.
-
-    Args:
-        observer: The observer.
-        pace: Flight time per wall time; 0 = as fast as possible.
-    """
-
-    def __init__(self, observer: Observer, pace: float = 0.0) -> None:
-        self._observer = observer
-        self._pace = pace
-
-    def begin(self, loop: Loop) -> None:
-        """See `Listener`."""
-        self._loop = loop
-        self._items_shown = [0, 0, 0]
-        self._began = time.monotonic()
-        self._observer.begin(loop)
-
-    def published(self, state: State, now: int) -> None:
-        """See `Listener`."""
-        self._observer.published(state, now)
-
-    def after_tick(self, now: int) -> None:
-        """See `Listener`."""
-        loop = self._loop
-        self._observer.tick(loop.record.rows[-1], _new_items(loop, self._items_shown), loop.status)
-        if self._pace > 0 and loop.status is None:
-            time.sleep(max(0.0, self._began + 1e-6 * now / self._pace - time.monotonic()))
-
-
-def _new_items(loop: Loop, seen: list[int]) -> list[FlightItem]:
-    """Items since the last call; `seen` counts the earlier ones, by table, and is updated."""
-    injections: Any = getattr(loop.taps.injector, "injections", ())
-    tables = (injections, loop.record.events, loop.record.alarms)
-    counts = [len(table) for table in tables]
-    if counts == seen:
-        return []
-    items = [item for table, count in zip(tables, seen, strict=True) for item in table[count:]]
-    seen[:] = counts
-    return items
+"""What handles an event of each kind; arguments: loop, instant (us), and those that it was scheduled with."""

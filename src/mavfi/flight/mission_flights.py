@@ -32,7 +32,6 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import ENTRIES
 from mavfi.sim.controller import is_rewindable
 from mavfi.sim.simulator import Simulator
-from mavfi.states import State
 
 
 class LocalHost(Host):
@@ -209,49 +208,50 @@ class LocalFlights(ArmFlights):
         """See `MissionFlights.injected`: faults in instructions come last, by arm, those of kernels before others."""
         self._has_watched_runs = any(self._arms[arm].make_detector is not None for arm, _ in runs)
         batches: dict[tuple[bool, str], dict[int, CallFault]] = {}  # by whether they are in a detector, and arm
-        others = []
+        single_runs = []
         for number, (arm, fault) in enumerate(runs):
             if _start_of(fault) is FliesFrom.CALL:
                 batch = batches.setdefault((fault.in_detector, arm), {})
                 batch[number] = cast(CallFault, fault)
             else:
-                others.append(number)
-        for index, flight in one_by_one([runs[number] for number in others], self._fly_injected):
-            yield others[index], flight
+                single_runs.append(number)
+        for index, flight in one_by_one([runs[number] for number in single_runs], self._fly_injected):
+            yield single_runs[index], flight
 
         # Arms without a detector are flown first: runs of arms with one may follow from theirs.
         arms = {arm for _, arm in batches}
-        flown: dict[tuple[str, Fault], Flight] = {}  # that followed from a run of another arm
+        followed: dict[tuple[str, Fault], Flight] = {}  # runs that follow from those of another arm
         for in_detector, arm in sorted(batches, key=lambda batch: batch[0]):
             remaining = {}
             for number, call_fault in batches[in_detector, arm].items():
-                if (arm, call_fault) in flown:
-                    yield number, flown[arm, call_fault]
+                if (arm, call_fault) in followed:
+                    yield number, followed[arm, call_fault]
                 else:
                     remaining[number] = call_fault
             if remaining:
-                yield from self._fly_batch(arm, remaining, arms, flown)
+                yield from self._fly_batch(arm, remaining, arms, followed)
 
     def _fly_batch(
         self,
         arm: str,
         batch: Mapping[int, CallFault],
         arms: Collection[str],
-        flown: dict[tuple[str, Fault], Flight],
+        followed: dict[tuple[str, Fault], Flight],
     ) -> Iterator[tuple[int, Flight | Exception]]:
-        """Flights with faults in instructions, by number; those of other arms that follow from them become `flown`."""
+        """Flights with faults in instructions, by number; runs of other arms that follow from them go to `followed`."""
         faults = list(batch.values())
         try:
             injected = self._fly_instruction_faults(arm, faults, arms)
         except Exception as error:  # noqa: BLE001 - ends only the run that raised it
+            if len(batch) == 1:
+                yield next(iter(batch)), error
+                return
+            # Each is flown on its own, since nothing tells which of them raised it.
             for number, fault in batch.items():
-                if len(batch) == 1:
-                    yield number, error
-                else:
-                    yield from self._fly_batch(arm, {number: fault}, arms, flown)
+                yield from self._fly_batch(arm, {number: fault}, arms, followed)
             return
         for other_arm, flights in injected.watched.items():
-            flown.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
+            followed.update({(other_arm, faults[index]): flight for index, flight in flights.items()})
         yield from zip(batch, injected.flights, strict=True)
 
     def _fly_instruction_faults(self, arm: str, faults: Sequence[CallFault], arms: Collection[str]) -> InjectedRuns:
@@ -260,8 +260,8 @@ class LocalFlights(ArmFlights):
         flown_arm = self._flown_arm(arm)
         golden = self._golden.get(arm)
         self._require_forks()
+        # From golden checkpoints, if these contain all that the faults can change; else from take-off.
         in_pipeline = not any(fault.in_detector or fault.role for fault in faults)
-        # from golden checkpoints, if these contain all that the faults can change
         if golden is not None and in_pipeline and not flown_arm.takes_part:
             with self._forwarding(arm) as forward:
                 if forward is not None and forward.scratch:
@@ -311,19 +311,25 @@ def fly_recorded(
     """
     if fault is not None:
         require_level(LocalHost(), fault.level)
-        if _start_of(fault) is FliesFrom.CALLS:
-            setup = ArmSetup(scenario, recovery=recovery)
-            flown: tuple[Flight, list[Published]] = find_level(fault.level).fly_forked(
-                setup, fault, detector, records=True
-            )
-            return flown
-        if _start_of(fault) is FliesFrom.CALL:
-            faults = [cast(CallFault, fault)]
-            runs = fly_instruction_faults(scenario, faults, detector, recovery=recovery, records=True)
-            return runs.flights[0], runs.publications[0]
-    seen: list[Published] = []
+    flies_from = _start_of(fault)
+    if fault is not None and flies_from is FliesFrom.CALLS:
+        setup = ArmSetup(scenario, recovery=recovery)
+        recorded: tuple[Flight, list[Published]] = find_level(fault.level).fly_forked(
+            setup, fault, detector, records=True
+        )
+        return recorded
+    if flies_from is FliesFrom.CALL:
+        faults = [cast(CallFault, fault)]
+        runs = fly_instruction_faults(scenario, faults, detector, recovery=recovery, records=True)
+        return runs.flights[0], runs.publications[0]
 
-    def note(state: State, time_us: int) -> None:
-        seen.append((state.copy(), time_us))
-
-    return fly(scenario, fault, detector, recovery=recovery, recorders=(note,)), seen
+    # In one process, from take-off.
+    publications: list[Published] = []
+    flight = fly(
+        scenario,
+        fault,
+        detector,
+        recovery=recovery,
+        recorders=[lambda state, time_us: publications.append((state.copy(), time_us))],
+    )
+    return flight, publications

@@ -154,7 +154,7 @@ class DetectorTap:
             if self._deadline is not None:
                 self._watch_deadline(state, now)
             return state
-        return self._settle(state, now, alarm, awaited, is_accepted=is_accepted)
+        return self._respond_or_pass(state, now, alarm, awaited, is_accepted=is_accepted)
 
     def _is_checked(self, awaited: PendingResult | None, now: int) -> bool:
         """Whether the detector is asked about a value."""
@@ -164,7 +164,7 @@ class DetectorTap:
             return False
         return not (self._policy.limits and self.memory.has_counted(MAX_UNCHANGED, now))
 
-    def _settle(
+    def _respond_or_pass(
         self, state: State, now: int, alarm: Alarm | None, awaited: PendingResult | None, *, is_accepted: bool
     ) -> State | None:
         """Respond to an alarm on a value, or let it pass; returns the value to publish, None = it is withheld.
@@ -185,10 +185,12 @@ class DetectorTap:
             self._record_published(state, now)
         if awaited is not None:
             self._note_outcome(awaited, state, action)
+        # No response: the value passes.
         if alarm is None or action is None:
             if self._deadline is not None:
                 self._watch_deadline(state, now)
             return state
+        # A response: it may withhold the value, as the degraded mode does with the command that it begins at.
         self._respond_to(alarm, action, state.spec, state, now)
         is_replaced = action.kind is Response.HOLD and state.spec.name == COMMAND
         if action.withholds or is_replaced:
@@ -339,9 +341,8 @@ class DetectorTap:
         if action.withholds:
             self._loop.deliver(producers_copy, now)
         else:
-            self._loop.state.schedule(
-                now, EventKind.RESEND, producers_copy
-            )  # consumers first receive the current value
+            # Consumers first receive the current value.
+            self._loop.state.schedule(now, EventKind.RESEND, producers_copy)
 
     def _request(self, action: Action, now: int) -> None:
         """Request a recomputation, another way-point or a stop: at once, or with an observer at the next step."""

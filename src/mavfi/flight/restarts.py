@@ -47,11 +47,11 @@ class Restarts:
         self._acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
         self._alarms: dict[str, State] = {}
         for state, now in earlier:
-            self.keep(state, now)
-        loop.taps.recorders.append(self.keep)
+            self.record(state, now)
+        loop.taps.recorders.append(self.record)
         loop.restart = self.restart  # also for events of others, which have seen the same publications
 
-    def keep(self, state: State, now: int) -> None:
+    def record(self, state: State, now: int) -> None:
         """Note a publication as consumers receive it: what a restarted node receives depends on all of them."""
         name = state.spec.name
         self._latest[name] = state
@@ -130,9 +130,9 @@ class Restarts:
         if not new_kernels:
             return  # the node never returns
         # All kernels of the node are in place before one of them publishes to another.
-        of_node = [new_kernels[name] for name in in_node(kernel)]
-        self._loop.bring_back(of_node)
-        for restarted in of_node:
+        restarted_kernels = [new_kernels[name] for name in in_node(kernel)]
+        self._loop.bring_back(restarted_kernels)
+        for restarted in restarted_kernels:
             self._resume(restarted, now, policy)
 
     def _resume(self, kernel: Kernel, now: int, policy: DeadNode) -> None:
@@ -156,14 +156,14 @@ class Restarts:
         """Messages of a state that a restarted node receives."""
         if name == CHANGES:
             return self._updates
-        messages = []
         latest = self._latest.get(name)
+        if latest is None:
+            return []
+        # The last alarm, unless it is the latest message or has been answered.
         alarm = self._alarms.get(name)
         if policy == "readback" and alarm is not None and alarm is not latest and self._is_unanswered(alarm):
-            messages.append(alarm)
-        if latest is not None:
-            messages.append(latest)
-        return messages
+            return [alarm, latest]
+        return [latest]
 
     def _is_unanswered(self, alarm: State) -> bool:
         """Whether the way-point in force carries a lower sequence number than an alarm."""

@@ -27,7 +27,7 @@ _DETECTOR = "detector"
 
 # ---- plug-ins of a mission -------------------------------------------------------------------------------------------
 def detector_address(detector: Detector | None) -> str:
-    """Name of a detector, if it, or a part of it, is none of mavfi; "" = there is none."""
+    """Name of a custom detector, or of the custom part of a detector; "" = there is none."""
     parts = custom_parts(detector)
     if not parts:
         return ""
@@ -123,7 +123,7 @@ class InjectionTarget:
     Attributes:
         name: Its name in faults and tables.
         functions: Its functions, by name; none if it is refused.
-        kernel: The kernel in whose steps they are called, a row of `states.KERNELS`; "" = none.
+        kernel: The kernel in whose steps they are called, a key of `states.KERNELS`; "" = none.
         role: Kind of the plug-in, as in `states.PLUG_INS`; "" = of mavfi.
         parts: Detectors that call them and replace them by themselves, see `Detector.instrument`.
         refusal: Why no fault can be in it; "" = faults can.
@@ -158,17 +158,17 @@ class Targets:
 
         # Kernels of mavfi, or the plug-ins in their place.
         targets = []
-        for row, spec in KERNELS.items():
-            replacing = [plug_in for plug_in in self._plug_ins if PLUG_INS[plug_in.role].kernel == row]
-            name = row
+        for kernel, spec in KERNELS.items():
+            name = kernel
             entries = spec.functions
-            if row == "planner":
+            if kernel == "planner":
                 name = scenario.planner.name
                 entries = PLANNERS.get(name, ())
-            if replacing:
-                targets.append(self._of_plug_in(replacing[0]))
+            replacements = [plug_in for plug_in in self._plug_ins if PLUG_INS[plug_in.role].kernel == kernel]
+            if replacements:
+                targets.append(self._of_plug_in(replacements[0]))
             elif entries:
-                targets.append(InjectionTarget(name, {entry: getattr(PLAIN, entry) for entry in entries}, row))
+                targets.append(InjectionTarget(name, {entry: getattr(PLAIN, entry) for entry in entries}, kernel))
         if "flight_controller" in by_role:
             targets.append(self._of_plug_in(by_role["flight_controller"]))
 
@@ -194,9 +194,9 @@ class Targets:
         return InjectionTarget(plug_in.name, functions, kernel, plug_in.role)
 
     def _of_detector(self, plug_in: PlugIn) -> InjectionTarget:
-        """The parts of a detector that are none of mavfi."""
+        """The custom parts of a detector."""
         functions: dict[str, Compiled] = {}
-        instrumenting = []  # those that replace their functions by themselves
+        instrumenting = []  # parts that replace their functions by themselves
         refusal = ""
         for part in custom_parts(self._detector):
             try:
@@ -270,20 +270,22 @@ class Targets:
         Detectors call those of theirs meanwhile.
         """
         stand_ins = []
-        parts = []
+        instrumented_parts = []
         for target in self._targets.values():
-            instead = {entry: functions[key] for key, entry in target.counters.items() if key in functions}
+            replacements = {entry: functions[key] for key, entry in target.counters.items() if key in functions}
+            # Detectors that replace functions by themselves take theirs.
             for part in target.parts:
-                replaced = {entry: instead.pop(entry) for entry in list(instead) if entry in part.compiled}
-                part.instrument(replaced)
-                parts.append(part)
+                own_entries = [entry for entry in replacements if entry in part.compiled]
+                part.instrument({entry: replacements.pop(entry) for entry in own_entries})
+                instrumented_parts.append(part)
+            # Plug-ins call functions by name, as without faults: stand-ins are called in the place of these.
             if target.role:
-                stand_ins += [(target.functions[entry], other) for entry, other in instead.items()]
+                stand_ins += [(target.functions[entry], other) for entry, other in replacements.items()]
         of_kernels = {name: functions.get(name, getattr(PLAIN, name)) for name in ENTRIES}
         try:
             yield FlightFunctions(**of_kernels, stand_ins=tuple(stand_ins))
         finally:
-            for part in parts:
+            for part in instrumented_parts:
                 part.instrument({})
 
 

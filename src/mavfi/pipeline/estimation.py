@@ -74,11 +74,13 @@ class StateEstimator(Remembers):
         """Propagate the estimate to the current instant and apply a pending fix; no output before the first fix."""
         memory = self.memory.filter
         if filtering.usable_sample(self.memory.sample):
-            memory.sample = self.memory.sample
+            memory.sample = self.memory.sample  # else the last valid one is used again
+        # Propagate to this instant.
         if memory.aligned:
             dt = 1e-6 * (time_us - memory.time_us)
             filtering.predict(memory.nominal, memory.covariance, memory.sample, dt, self._noise)
         memory.time_us = time_us
+        # Correct by the pending fix.
         if memory.fix is not None and filtering.usable_fix(memory.fix):
             self._take_fix(memory, memory.fix)
         memory.fix = None

@@ -25,6 +25,7 @@ GYRO_BIAS_WALK = GYRO_BIAS_STABILITY / math.sqrt(GYRO_BIAS_TIME)
 """Standard deviations of the biases after one second (m/s^2 and rad/s, / sqrt(s))."""
 
 _SHORTEST_INTERVAL_US = 1_000
+"""Interval assumed for two samples of one instant: white noise would be infinite at an interval of 0."""
 _WHITE = np.repeat([ACCELEROMETER_RANDOM_WALK, GYRO_RANDOM_WALK], 3)
 _WALK = np.repeat([ACCELEROMETER_BIAS_WALK, GYRO_BIAS_WALK], 3)
 

@@ -304,11 +304,13 @@ def site_motors(path: Path) -> list[SiteMotor]:
     body_axes = data.xmat[root].reshape(3, 3)
     motors = []
     for actuator in range(model.nu):
+        # Force and torque per unit of control, in the frame of the actuator's site.
         force = model.actuator_gear[actuator, :3]
         torque = model.actuator_gear[actuator, 3:]
         strength = length(force)
         if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_SITE or not strength > 0.0:
             continue
+        # Axis and position in the frame of the body, from its centre of mass.
         site = model.actuator_trnid[actuator, 0]
         axis = product(data.site_xmat[site].reshape(3, 3), (force / strength)[:, None])
         offset = data.site_xpos[site] - data.subtree_com[root]

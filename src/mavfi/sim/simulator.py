@@ -139,7 +139,8 @@ class Simulator:
             world: The world.
             scenario: Vehicle, camera, localization, wind, speed limit and seed.
         """
-        vehicle, self._scenario = scenario.vehicle, scenario
+        self._scenario = scenario
+        vehicle = scenario.vehicle
         period_us = _controller_period(scenario.flight_controller)
         self._build(world, period_us)
         self._airframe = airframe_of(vehicle, period_us)
@@ -149,11 +150,15 @@ class Simulator:
         self._yaw_rate_limit = vehicle.max_yaw_rate
         self._setpoint = np.zeros(4)
         self._expiry_us = 0
+
+        # Sensors and wind, each with a random stream of its own.
         keys = np.random.SeedSequence(scenario.seed, spawn_key=(_PURPOSE_SENSOR_NOISE,)).generate_state(3, np.uint64)
         self._camera = Camera(scenario.camera, world, int(keys[0]))
         self._imu = Imu(int(keys[1]), scenario.localization.imu_noise)
         self._positioning = Positioning(scenario.localization, int(keys[2]))
         self._weather = Weather(scenario.wind, np.random.SeedSequence(scenario.seed, spawn_key=(_PURPOSE_WIND,)))
+
+        # The state at the start; the controller begins with it.
         self.time_us = 0
         self.odometry = np.zeros(13)
         self.collided = False
@@ -176,13 +181,9 @@ class Simulator:
 
     def _make_controller(self, heading: float) -> Controller:
         """A new flight controller, which starts from the present state."""
-        name, start = self._scenario.flight_controller, self.odometry.copy()
-        controller: Controller = build(
-            "flight controller",
-            name,
-            find_controller(name),
-            InitialConditions(self._scenario.vehicle, start, heading, self._scenario.seed),
-        )
+        name = self._scenario.flight_controller
+        start = InitialConditions(self._scenario.vehicle, self.odometry.copy(), heading, self._scenario.seed)
+        controller: Controller = build("flight controller", name, find_controller(name), start)
         return controller
 
     def stop_controller(self) -> None:
@@ -195,6 +196,7 @@ class Simulator:
         self.controller = self._make_controller(yaw_of(self.odometry[6:10]))
 
     def _face(self, way: np.ndarray) -> float:
+        """Turn the vehicle into a direction; returns its heading (rad)."""
         yaw = float(atan2(way[1], way[0]))
         self._data.qpos[3:7] = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
         self._derive()
@@ -278,10 +280,10 @@ class Simulator:
         force = self._data.sensordata[ACCELEROMETER]
         self._turn_rotors(wind, self.controller.rotors(self.time_us, setpoint, self.odometry, force))
 
-    def _turn_rotors(self, wind: Wind, wanted: np.ndarray) -> None:
+    def _turn_rotors(self, wind: Wind, commands: np.ndarray) -> None:
         """Advance by one period of the controller with rotor commands (N), limited as by an ESC. Shape (4,)."""
         limit = self._airframe.max_thrust * (1.0 + _ROUNDING)
-        wanted = np.clip(np.where(np.isnan(wanted), 0.0, wanted), 0.0, limit)
+        commands = np.clip(np.where(np.isnan(commands), 0.0, commands), 0.0, limit)
         period_us = self.controller.period_us
         touched = turn_rotors(
             self._airframe,
@@ -291,7 +293,7 @@ class Simulator:
             self.time_us,
             period_us,
             self._thrusts,
-            wanted,
+            commands,
             self.odometry,
         )
         self.collided = self.collided or touched
@@ -371,8 +373,10 @@ class Simulator:
         self.controller.restore(snapshot.controller)
         self._setpoint[:] = snapshot.setpoint
         self.odometry[:] = snapshot.odometry
-        self.time_us, self._expiry_us = snapshot.time_us, snapshot.expiry_us
-        self.collided, self.rejected_commands = snapshot.collided, snapshot.rejected_commands
+        self.time_us = snapshot.time_us
+        self._expiry_us = snapshot.expiry_us
+        self.collided = snapshot.collided
+        self.rejected_commands = snapshot.rejected_commands
         self._imu = copy.deepcopy(snapshot.imu)
 
     def close(self) -> None:

@@ -18,9 +18,13 @@ from mavfi.numerics.jit import kernel_jit
 GUST_WIDTH = 5
 """Columns of a gust's record: onset (s), duration (s), and peak velocity x y z (m/s), world frame."""
 
-_SHORTEST_SHARE, _LONGEST_SHARE = 0.5, 1.5
+_SHORTEST_SHARE = 0.5
+_LONGEST_SHARE = 1.5
+"""Bounds of a gust's duration / the configured one."""
 _STEEPEST = 0.2
+"""Largest vertical share of a gust's amplitude."""
 _AT_A_TIME = 32
+"""Gusts that are drawn together: compiled code is given a longer table of them only now and then."""
 
 
 class Wind(NamedTuple):
@@ -92,6 +96,7 @@ class Weather:
         self._wind = Wind(np.array(checked.mean, float), self._wind.gusts)
 
     def _draw(self) -> tuple[float, ...]:
+        """Draw the next gust, a row of `Wind.gusts`; the calm before it is distributed exponentially."""
         calm, share, direction, rise = self._random.random(4)
         onset = self._end - self._config.interval * log(1.0 - calm)
         duration = self._config.length * (_SHORTEST_SHARE + (_LONGEST_SHARE - _SHORTEST_SHARE) * share)

@@ -24,13 +24,13 @@ CHOSEN = (
 )
 """Fast tests of what extras plug into, in tests/core/unit."""
 WITH_EXTRAS = {
-    "analysis/test_runs.py": ("test_sites_of_every_level",),
     "campaign/test_config.py": (
         "test_shipped_campaigns_are_valid_and_survive_the_ledger",
         "test_mistakes_are_named_when_the_file_is_read",
     ),
     "levels/test_text.py": ("test_errors_are_one_line_that_says_what_is_allowed",),
     "test_files.py": ("test_a_name_that_is_too_long_is_one_line",),
+    "test_plugins.py": ("test_a_level_of_an_extra_that_is_not_installed_is_refused_with_the_command",),
 }
 """Tests among them that use levels, hosts, views or commands of extras by their names."""
 OF_EXTRAS = re.compile(r"\b(mavfi|tests)[./]extras\b")

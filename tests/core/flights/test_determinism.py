@@ -5,7 +5,7 @@ import pytest
 
 from mavfi.flight.compose import new_loop
 from mavfi.flight.fly import fly
-from mavfi.flight.loop import Latencies
+from mavfi.flight.latencies import Latencies
 from mavfi.mission import MissionStatus
 from mavfi.states import STATES, states_with
 from tests.core.flights.missions import AUTOPILOTS, each_autopilot, ends_as_its_status_says, fault, golden, mission

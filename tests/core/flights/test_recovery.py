@@ -11,7 +11,7 @@ from mavfi.flight.decide import MAX_UNCHANGED, RecoveryPolicy
 from mavfi.flight.fast_forward import FastForward
 from mavfi.flight.fly import fly
 from mavfi.flight.known_flights import FlownArm
-from mavfi.flight.loop import stage_latency
+from mavfi.flight.latencies import stage_latency
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import PPC_STAGES, STATES, Stage, floats
 from tests.core.flights.missions import (

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi import config as configuration
 from mavfi.config import PlatformConfig, shipped
-from mavfi.flight.loop import latency, stage_latency
+from mavfi.flight.latencies import latency, stage_latency
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.pipeline.functions import KernelFunctions
 from mavfi.pipeline.ppc import build_pipeline

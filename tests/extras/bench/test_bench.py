@@ -10,9 +10,9 @@ from mavfi.campaign.resolve import resolve
 from mavfi.config import config_root, names, parse
 from mavfi.errors import BadInputError
 from mavfi.extras.bench.bench import (
-    COLUMNS,
+    FAULT_COLUMNS,
     FOLDER,
-    ROWS,
+    ROWS_ENDING,
     Bench,
     checksum,
     faults_of,
@@ -89,7 +89,7 @@ def test_the_faults_of_a_ledger_are_listed_once_each(tmp_path):
     sampling = {"level": "state", "scheme": "groups", "groups": groups}
     run_campaign(small(missions=2, faults=4, sampling=sampling), tmp_path, executor=LocalExecutor(1))
     head, *lines = faults_of(tmp_path).splitlines()
-    assert head == ",".join(COLUMNS)
+    assert head == ",".join(FAULT_COLUMNS)
     listed = list(csv.reader(lines))
     assert {row[2] for row in listed} == {"a way-point, x"}
     assert len({tuple(row[:4]) for row in listed}) == len(listed) > 0
@@ -99,11 +99,11 @@ def test_the_faults_of_a_ledger_are_listed_once_each(tmp_path):
 
 def test_shipped_lists_have_one_entry_per_column():
     shipped = sorted((config_root() / FOLDER / BENCH.name).glob("*.csv"))
-    lists = [path for path in shipped if not path.name.endswith(ROWS)]
+    lists = [path for path in shipped if not path.name.endswith(ROWS_ENDING)]
     assert lists
     for path in lists:
         head, *rows = csv.reader(path.read_text(encoding="utf-8").splitlines())
-        assert tuple(head) == COLUMNS and rows and all(len(row) == len(COLUMNS) for row in rows), path.name
+        assert tuple(head) == FAULT_COLUMNS and rows and all(len(row) == len(FAULT_COLUMNS) for row in rows), path.name
 
 
 @pytest.mark.parametrize(

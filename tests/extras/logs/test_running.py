@@ -13,7 +13,8 @@ from mavfi.extras.logs.tlog import Telemetry
 from mavfi.faults.fault import FaultSite
 from mavfi.flight.compose import resolve
 from mavfi.flight.fly import fly
-from mavfi.flight.loop import Listener, ObserverListener
+from mavfi.flight.loop import Listener
+from mavfi.flight.observers import ObserverListener
 from mavfi.levels.state.fault import StateFault
 from mavfi.mission import MissionSpec
 from tests.extras.logs.viewer import Viewer

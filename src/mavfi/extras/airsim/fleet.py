@@ -51,7 +51,7 @@ def collide(vehicles: Sequence[PilotedVehicle]) -> None:
             if depth <= 0.0:
                 continue
 
-            # from the second to the first
+            # Normal from the second to the first, and the point of contact.
             normal = np.array([0.0, 0.0, 1.0])
             if distance > 0.0:
                 normal = way / distance

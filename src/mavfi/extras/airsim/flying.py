@@ -28,8 +28,11 @@ from mavfi.extras.airsim.piloted import (
 from mavfi.extras.airsim.table import Api, add_readings, call, require_ready, task, vehicle_call
 
 _FORWARD_ONLY = 1
+"""DrivetrainType.ForwardOnly: the vehicle looks in the direction of flight."""
 _HOME_SPEED = 0.5
+"""Speed of the way home (m/s)."""
 _RC_S = 1e6
+"""Time for which positions of the sticks hold, until the next call (s): for ever."""
 
 
 def yaw_of(mode: Any, drivetrain: Any = 0) -> Yaw:  # noqa: ANN401 - a client's

@@ -43,6 +43,7 @@ V_MAX = 12.0
 """Speed limit of the vehicle unless chosen (m/s): programs for AirSim choose their own speeds."""
 _RUNNER = Path(__file__).with_name("runner.py")
 _PATIENCE_S = 5.0
+"""Longest wait for the last calls of a program that has ended, and for one that was killed (s)."""
 _SILENT_SHARE = 0.5
 """Share of the longest wall-clock time of a program after whose last call it only keeps itself alive."""
 _CHUNK = 4096
@@ -284,6 +285,7 @@ class _Run:
     async def _wait(self, serving: "asyncio.Task[None]") -> int | None:
         """Exit code of the program; None = it hangs."""
         end = time.monotonic() + self._program.wall_s
+        # Until the program ends, or its wall-clock time is over.
         while time.monotonic() < end:
             if serving.done():
                 serving.result()  # raises what ended it

@@ -24,13 +24,13 @@ from mavfi.errors import BadInputError, SpecMismatchError, not_known
 from mavfi.files import is_file
 
 FOLDER = "bench"
-SCORES = "scores"
+SCORES_TABLE = "scores"
 """Name of the table of detection at any threshold."""
-SCORED = "state"
-"""The fault level that corrupts publications."""
-COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
+SCORED_LEVEL = "state"
+"""Level of faults that can be scored: they corrupt publications."""
+FAULT_COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
 """Columns of a fault list."""
-ROWS = ".rows.csv"
+ROWS_ENDING = ".rows.csv"
 """Ending of files with published rows; those without it are fault lists."""
 
 
@@ -55,21 +55,27 @@ class Bench(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Bench":
-        if SCORES in self.parts:
-            raise ValueError(f"parts: {SCORES!r}: is the name of a table; allowed: any other name")
-        for name in self.arms:  # names of the folder of a bench with these schemes alone
+        if SCORES_TABLE in self.parts:
+            raise ValueError(f"parts: {SCORES_TABLE!r}: is the name of a table; allowed: any other name")
+        for name in self.arms:  # a scheme that is flown alone names a folder
             if "/" in name or not name.isprintable():
                 raise ValueError(f"arms: {name!r}: allowed: any name without a slash and control characters")
         for name, part in self.parts.items():
             level = level_of(load_campaign(part.campaign))
-            if part.scores and level != SCORED:
-                raise ValueError(f"parts.{name}.scores: faults of level {level!r}; allowed: {SCORED}")
+            if part.scores and level != SCORED_LEVEL:
+                raise ValueError(f"parts.{name}.scores: faults of level {level!r}; allowed: {SCORED_LEVEL}")
         return self
 
 
 @dataclass(frozen=True, slots=True)
 class SelectedPart:
-    """A part with its campaign, whose arms can fly; `left_out`: schemes that cannot, with the reason."""
+    """A part that is flown.
+
+    Attributes:
+        part: The part.
+        campaign: Its campaign, with the schemes that can fly as arms.
+        left_out: The other schemes, with the reason.
+    """
 
     part: BenchPart
     campaign: Campaign
@@ -138,7 +144,7 @@ def select_parts(
     for name in parts:
         if name not in bench.parts:
             raise BadInputError(f"bench {bench.name}: part {not_known(name, bench.parts)}")
-    campaigns = {name: _campaign(bench, name, scale) for name in parts or bench.parts}
+    campaigns = {name: _campaign_of_part(bench, name, scale) for name in parts or bench.parts}
     all_levels = {level_of(campaign) for campaign in campaigns.values()}
     for level in levels:
         if level not in all_levels:
@@ -152,7 +158,7 @@ def select_parts(
     reasons: list[str] = []
     for name, campaign in campaigns.items():
         if not levels or level_of(campaign) in levels:
-            part = _selected(bench, name, campaign, models_dir)
+            part = _flyable_part(bench, name, campaign, models_dir)
             reasons += part.left_out.values()
             if part.campaign.arms:
                 selected[name] = part
@@ -169,7 +175,7 @@ def level_of(campaign: Campaign) -> str:
     return campaign.sampling.level
 
 
-def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
+def _campaign_of_part(bench: Bench, name: str, scale: str) -> Campaign:
     """The campaign of a part at a scale, with the schemes of the bench as its arms."""
     part = bench.parts[name]
     campaign = load_campaign(part.campaign)
@@ -188,8 +194,8 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
     return parse(Campaign, content, f"bench {bench.name}: {name}")
 
 
-def _selected(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> SelectedPart:
-    """The part without schemes whose detectors were trained for a different configuration."""
+def _flyable_part(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> SelectedPart:
+    """A part, without schemes whose detectors were trained for a different configuration."""
     check_names(campaign, f"bench {bench.name}: {name}")
     left_out = {}
     resolved = resolve(campaign, models_dir)
@@ -215,10 +221,10 @@ def faults_of(directory: Path) -> str:
                 bit = ""
                 if fault.bit is not None:
                     bit = str(fault.bit)
-                mission = (spec.environment, spec.seed)
-                rows.append((*mission, spec.target, spec.index, fault.site, _time_of(fault), bit, fault.stratum))
+                identity = (spec.environment, spec.seed, spec.target, spec.index)
+                rows.append((*identity, fault.site, _time_of(fault), bit, fault.stratum))
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
+    csv.writer(text, lineterminator="\n").writerows([FAULT_COLUMNS, *rows])
     return text.getvalue()
 
 
@@ -241,7 +247,7 @@ def frozen_faults(bench: Bench, part: str, scale: str) -> str | None:
 
 def published_rows(bench: Bench, part: str, scale: str) -> list[dict[str, str]]:
     """The shipped rows of a part's table, as text by heading; empty if there are none."""
-    path = config_root() / FOLDER / bench.name / f"{part}-{scale}{ROWS}"
+    path = config_root() / FOLDER / bench.name / f"{part}-{scale}{ROWS_ENDING}"
     if not is_file(path):
         return []
     with path.open(encoding="utf-8", newline="") as lines:

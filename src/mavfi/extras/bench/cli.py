@@ -80,36 +80,36 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.bench.verdict import results_of, sentences
 
     # Check the options, and select schemes and parts.
-    shipped = load_bench(bench)
-    chosen = _chosen_bench(shipped, scale, scheme, detector, profile)
-    selected = select_parts(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
+    whole_bench = load_bench(bench)
+    flown_bench = _with_requested_schemes(whole_bench, scale, scheme, detector, profile)
+    flown_parts = select_parts(flown_bench, scale, levels=level or (), parts=part or (), models_dir=models)
     user_schemes: Sequence[str] = ()
     if detector or scheme:
-        user_schemes = tuple(chosen.arms)
+        user_schemes = tuple(flown_bench.arms)
     if out is None:
         out = default_folder(scale, user_schemes)
     check_folder(out)
 
     # Fly, and write the tables; a bench with other schemes than its own is shown beside its own.
-    flights = BenchFlights(shipped, selected, scale, out)
+    flights = BenchFlights(whole_bench, flown_parts, scale, out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         flights.fly(workers, models)
         scores_by_arm = flights.scores(workers, models)
-    flown = flights.tables(scores_by_arm)
-    shown = flown
+    tables = flights.tables(scores_by_arm)
+    compared_tables = tables
     if user_schemes:
-        shown = {name: flights.beside_others(name, table) for name, table in flown.items()}
+        compared_tables = {name: flights.beside_others(name, table) for name, table in tables.items()}
     own_command = _command(bench, level or (), part or (), scale, "my_package:MyDetector")
-    write_leaderboard(flights, flown, shown, scores_by_arm, own_command)
+    write_leaderboard(flights, tables, compared_tables, scores_by_arm, own_command)
     if as_json:
-        write_json({name: table.to_json() for name, table in flown.items()})
+        write_json({name: table.to_json() for name, table in tables.items()})
         return
 
     # The verdict comes first: a sentence on each part.
-    for name, table in shown.items():
+    for name, table in compared_tables.items():
         for sentence in sentences(results_of(table), user_schemes):
             console().print(Text(f"{name}: {sentence}"))
-        if user_schemes and name in flights.parts and table is flown[name]:
+        if user_schemes and name in flights.parts and table is tables[name]:
             command = _command(bench, (), [name], scale)
             advice = (
                 f"  Compared with nothing yet: `{command}` flies the bench's own schemes on these faults; this command "
@@ -118,13 +118,13 @@ def detectors(  # noqa: PLR0913 - one parameter per option
             console().print(Text(advice))
     console().print()
     if everything:
-        _show_all(list(shown.values()))
+        _show_all(list(compared_tables.values()))
     else:
-        _show_short(flights, flown, shown, user_schemes)
+        _show_short(flights, tables, compared_tables, user_schemes)
     console().print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)
 
 
-def _chosen_bench(
+def _with_requested_schemes(
     bench: "Bench", scale: str, schemes: list[str] | None, detectors: list[str] | None, profile: str | None
 ) -> "Bench":
     """The bench with the schemes or detectors that the options select; refuses options that do not go together."""
@@ -144,14 +144,17 @@ def _chosen_bench(
 
 
 def _show_short(
-    flights: "BenchFlights", flown: "Mapping[str, Table]", shown: "Mapping[str, Table]", user_schemes: Sequence[str]
+    flights: "BenchFlights",
+    tables: "Mapping[str, Table]",
+    compared_tables: "Mapping[str, Table]",
+    user_schemes: Sequence[str],
 ) -> None:
     """Print what decides, with remarks on the faults, schemes that are not flown, and rows that are not flown here."""
     from mavfi.extras.bench.verdict import short_table
 
-    for name, table in shown.items():
+    for name, table in compared_tables.items():
         console().print(short_table(table, user_schemes))
-        if table is not flown[name]:
+        if table is not tables[name]:
             console().print(Text(table.notes[0], style="dim"))  # which rows are published ones
         if name in flights.parts:
             for remark in flights.remarks(name):
@@ -168,8 +171,9 @@ def _show_all(tables: "Sequence[Table]") -> None:
     from mavfi.report.text import show_table
 
     for number, table in enumerate(tables):
-        later = {note for other in tables[number + 1 :] for note in other.notes}
-        show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), console())
+        later_notes = {note for later_table in tables[number + 1 :] for note in later_table.notes}
+        notes = tuple(note for note in table.notes if note not in later_notes)
+        show_table(replace(table, notes=notes), console())
 
 
 def _command(bench: str, levels: Sequence[str], parts: Sequence[str], scale: str, detector: str = "") -> str:

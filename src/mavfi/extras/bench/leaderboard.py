@@ -21,7 +21,7 @@ from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.run import run_campaigns
 from mavfi.errors import write_text
 from mavfi.extras.bench.bench import (
-    SCORES,
+    SCORES_TABLE,
     Bench,
     SelectedPart,
     checksum,
@@ -91,7 +91,7 @@ class BenchFlights:
         tables = {name: self._table(name, selected) for name, selected in self.parts.items()}
         if scores_by_arm:
             reasons = unscored(self.scored_campaigns.values(), scores_by_arm)
-            tables[SCORES] = table_of_scores(scores_by_arm, list(self.scored_campaigns), reasons)
+            tables[SCORES_TABLE] = table_of_scores(scores_by_arm, list(self.scored_campaigns), reasons)
         return tables
 
     def _table(self, name: str, selected: SelectedPart) -> Table:
@@ -113,12 +113,12 @@ class BenchFlights:
         else:
             agreement = f"NOT those published in {self.bench.name} (sha256 {checksum(frozen)[:16]}…)"
         count = faults.count("\n") - 1  # without the heading
-        drawn = f"{count} faults, sha256 {checksum(faults)[:16]}…: {agreement}"
+        faults_remark = f"{count} faults, sha256 {checksum(faults)[:16]}…: {agreement}"
 
         arms_of_reason = defaultdict[str, list[str]](list)
         for arm, reason in selected.left_out.items():
             arms_of_reason[reason].append(arm)
-        return drawn, *(f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items())
+        return faults_remark, *(f"{', '.join(arms)}: not flown ({reason})" for reason, arms in arms_of_reason.items())
 
     def beside_others(self, name: str, flown: Table) -> Table:
         """The table of a part with rows of other schemes on the same faults.
@@ -155,8 +155,8 @@ def text_rows(full: Table) -> list[dict[str, str]]:
 
 def write_leaderboard(
     flights: BenchFlights,
-    flown: Mapping[str, Table],
-    shown: Mapping[str, Table],
+    tables: Mapping[str, Table],
+    compared_tables: Mapping[str, Table],
     scores_by_arm: Mapping[str, Scores],
     command: str,
 ) -> None:
@@ -164,8 +164,8 @@ def write_leaderboard(
 
     Args:
         flights: The flights.
-        flown: Their tables.
-        shown: The same tables with published rows.
+        tables: Their tables.
+        compared_tables: The same tables with published rows.
         scores_by_arm: Scores by scheme.
         command: Command that flies the same parts with a custom detector.
 
@@ -173,8 +173,8 @@ def write_leaderboard(
         BadInputError: A file cannot be written.
     """
     make_folder(flights.folder)
-    texts = {"leaderboard.md": leaderboard(shown, flights.bench.name, flights.scale, command)}
-    texts |= {f"{name}.csv": table.to_csv() for name, table in flown.items()}
+    texts = {"leaderboard.md": leaderboard(compared_tables, flights.bench.name, flights.scale, command)}
+    texts |= {f"{name}.csv": table.to_csv() for name, table in tables.items()}
     if scores_by_arm:
         draw_curves(scores_by_arm, flights.folder / "curves.png")
     for name, content in texts.items():
@@ -247,7 +247,8 @@ def name_lines(axes: Axes, ends: Sequence[LineEnd]) -> None:
     height_in = 0.8 * axes.figure.get_figheight()  # type: ignore[union-attr] # about that of the axes
     gap = (high - low) * 1.3 * size / (72.0 * height_in)
     ordered = sorted(ends, key=lambda end: -end.y)
-    # from above, each at its height or a gap below the one above it; then from below, into the axes
+
+    # Heights of the names: from above, each at its line or a gap below the name above it; from below, into the axes.
     heights: list[float] = []
     for end in ordered:
         ceiling = high
@@ -258,7 +259,9 @@ def name_lines(axes: Axes, ends: Sequence[LineEnd]) -> None:
     for index in reversed(range(len(heights))):
         heights[index] = max(heights[index], floor)
         floor = heights[index] + gap
-    beside = axes.get_yaxis_transform()  # share of the width, and data
+
+    # Names and leaders.
+    beside = axes.get_yaxis_transform()  # x: share of the width; y: data
     for end, height in zip(ordered, heights, strict=True):
         axes.annotate(
             end.name,
@@ -292,14 +295,14 @@ def draw_curves(scores_of_schemes: Mapping[str, Scores], path: Path) -> Path:
     with style.house_style():
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         axes = figure.subplots()
-        # a curve needs harmful faults, and a publication that scores above 0
-        drawn = [
+        # A curve needs harmful faults, and a publication that scores above 0.
+        drawable = [
             (name, scheme)
             for name, scheme in scores_of_schemes.items()
             if scheme.area() is not None and (len(scheme.golden) or scheme.corrupted.any())
         ]
         ends = []
-        for number, (name, scheme) in enumerate(drawn):
+        for number, (name, scheme) in enumerate(drawable):
             colour = _COLOURS[number % len(_COLOURS)]
             dashes = _DASHES[number // len(_COLOURS) % len(_DASHES)]
             # The curve over all thresholds,

@@ -126,14 +126,14 @@ def sentences(results: Sequence[SchemeResult], user_schemes: Collection[str]) ->
     """What the results say about some schemes, or about the best one if none is named."""
     texts = []
     for group in dict.fromkeys(result.keys[:-1] for result in results):
-        of_group = [result for result in results if result.keys[:-1] == group]
+        group_results = [result for result in results if result.keys[:-1] == group]
         heading = "".join(f"{part}: " for part in group)
-        chosen = [result for result in of_group if result.scheme in user_schemes]
-        if not chosen:
-            chosen = of_group[:1]
+        user_results = [result for result in group_results if result.scheme in user_schemes]
+        if not user_results:
+            user_results = group_results[:1]
             heading += "the best one, "
-        for result in chosen:
-            others = [other for other in of_group if other.scheme not in user_schemes and other is not result]
+        for result in user_results:
+            others = [other for other in group_results if other.scheme not in user_schemes and other is not result]
             texts.append(f"{heading}{_sentence(result, others)}")
     return texts
 

@@ -56,6 +56,7 @@ def harden(
     from mavfi.extras.hardening.plan import save_plan
     from mavfi.report.text import show_table
 
+    # Refuse what is not allowed before any flight.
     check_number("--budget", budget, 0.0, 10.0)
     check_file("--plan", plan, (".yaml", ".yml"))
     path = plan or Path("plan.yaml")
@@ -65,6 +66,8 @@ def harden(
     ledger = HardeningLedger.open(directory, options.listed(kernels))
     losses = ledger.losses
     proof = ledger.proof(path)
+
+    # Fly golden missions, choose, and write the plan and its proof.
     flights = harden_flights(ledger, budget, _tell, addresses=addresses)
     if plan is not None:
         save_plan(plan_of(ledger, flights, budget), plan)
@@ -72,6 +75,8 @@ def harden(
     if as_json:
         write_json({**_content(flights), "budget": budget, "losses": losses._asdict(), "proof": proof})
         return
+
+    # The result in a sentence, what it cannot save, and the table of functions.
     out = console()
     out.print(Text(_headline(flights, len(ledger.faults)), style="bold"))
     saved = (
@@ -94,11 +99,11 @@ def _headline(flights: Sequence["HardenedFlight"], faults: int) -> str:
     from mavfi.extras.hardening.harden import removed_share
     from mavfi.report.numbers import percent
 
-    protected = dict.fromkeys(t.seen.kernels[0] for flight in flights for t in flight.new if t.sites)
+    targets = [target for flight in flights for target in flight.new]
+    protected = dict.fromkeys(target.observed.kernels[0] for target in targets if target.sites)
     if not protected:
         return "Nothing can be protected within this budget."
     added = max(flight.added for flight in flights)
-    targets = [target for flight in flights for target in flight.new]
     return (
         f"Protect {', '.join(protected)}: {percent(added, 2)} more kernel time per flight is expected to remove "
         f"{percent(removed_share(targets))} of the silent corruptions (SDC), by {faults:,} faults."
@@ -130,8 +135,8 @@ def _content(flights: Sequence["HardenedFlight"]) -> dict[str, Any]:
 
     functions = [
         {
-            "kernel": target.seen.kernels[0],
-            "function": target.seen.key.function.rpartition(".")[2],
+            "kernel": target.observed.kernels[0],
+            "function": target.observed.key.function.rpartition(".")[2],
             "share": target.ticks / flight.ticks,
             "time": target.time,
             "added": target.added / flight.ticks,

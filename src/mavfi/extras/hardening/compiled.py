@@ -38,7 +38,6 @@ def code_of(module: Module) -> bytes:
     Calls with many arguments take time, which pays for a part of the shadows.  After inlining, results of calls are put
     into registers and loops are tested at their end.  Other passes are not run: they might take a shadow for its
     original where both have been compared, or compute both by one instruction.  None is run on plain code.
-
     """
     text = text_of(module)
     blocks = (block for function in module.functions for block in function.blocks)
@@ -143,7 +142,7 @@ class Timed:
     Args:
         source: The function.
         module: A variant of its module.
-        environment: Numba's environment of the function, which the code points to.
+        environment: Numba's environment of the function, to which the code points.
     """
 
     def __init__(self, source: KernelSource, module: Module, environment: Any) -> None:
@@ -165,11 +164,14 @@ class Timed:
 
 def with_loop(module: Module, wrapper: str) -> Module:
     """A module whose wrapper calls the kernel in a loop, and stores the ticks of the time stamp counter."""
-    # The wrapper is outside the fault space, and so is text. It calls the loop instead of the kernel.
+    # The wrapper is outside the fault space, so it is kept as text.  It calls the loop instead of the kernel.
     others = list(module.others)
     number = next(number for number, text in enumerate(others) if wrapper in text.split("\n", 1)[0])
-    kernel = next(f for f in module.functions if re.search(rf"{re.escape(f.name)} ?\(", others[number]))
-    others[number] = re.sub(rf"{re.escape(kernel.name)} ?\(", "@mavfi_loop(", others[number])
+    for kernel in module.functions:
+        call = re.compile(rf"{re.escape(kernel.name)} ?\(")
+        if call.search(others[number]):
+            break
+    others[number] = call.sub("@mavfi_loop(", others[number])
 
     # The counter is read outside the loop, so that short calls are timed as well.
     typed = ", ".join(f"{kind} {parameter}" for kind, parameter in kernel.parameters)
@@ -212,11 +214,12 @@ def compare(
     """
     clocks = {"": plain, **variants}
     names = list(clocks)
-    # 1. How long is a call? Short ones are repeated, and made before without being timed.
-    first = min(plain(copied(calls[0]), 1) for _ in range(3))
-    repetitions = int(np.clip(_MIN_LOOP_TICKS / max(first, 1.0), 1, _MAX_REPETITIONS))
+
+    # 1. How long does a call take?  Short ones are repeated, and follow calls that are not timed.
+    call_ticks = min(plain(copied(calls[0]), 1) for _ in range(3))
+    repetitions = int(np.clip(_MIN_LOOP_TICKS / max(call_ticks, 1.0), 1, _MAX_REPETITIONS))
     warm_up_calls = 0
-    if first < _SHORT_CALL:
+    if call_ticks < _SHORT_CALL:
         warm_up_calls = _WARM_UP_CALLS
 
     def timed(clock: Clock, args: tuple[Any, ...]) -> float:
@@ -224,7 +227,7 @@ def compare(
             clock(copied(args), 1)
         return clock(copied(args), repetitions)
 
-    # 2. Rounds, each with one call and another order of the variants.
+    # 2. Rounds, each with one call and another order of the variants; the ticks of each variant, by its name.
     rounds: list[dict[str, float]] = []
     while len(rounds) < max(_MIN_ROUNDS, len(calls)) or not enough(len(rounds)):
         start = len(rounds) % len(names)
@@ -232,13 +235,15 @@ def compare(
         rounds.append({name: timed(clocks[name], args) for name in names[start:] + names[:start]})
 
     # 3. Medians over the fastest rounds of each call, and over all calls their mean, weighted by plain time.
-    rounds_of_call = [quiet(rounds[call :: len(calls)]) for call in range(len(calls))]
-    plain_ticks = np.array([np.median([ticks[""] for ticks in of_call]) for of_call in rounds_of_call])
-    ratios = {}
-    for name in variants:
-        medians = [np.median([ticks[name] / ticks[""] for ticks in of_call]) for of_call in rounds_of_call]
-        ratios[name] = float(np.average(medians, weights=plain_ticks))
-    return Timing(ratios, float(plain_ticks.mean()))
+    plain_ticks = []
+    medians: dict[str, list[np.floating[Any]]] = {name: [] for name in variants}
+    for index in range(len(calls)):
+        call_rounds = quiet(rounds[index :: len(calls)])
+        plain_ticks.append(np.median([ticks[""] for ticks in call_rounds]))
+        for name in variants:
+            medians[name].append(np.median([ticks[name] / ticks[""] for ticks in call_rounds]))
+    ratios = {name: float(np.average(medians[name], weights=plain_ticks)) for name in variants}
+    return Timing(ratios, float(np.mean(plain_ticks)))
 
 
 def quiet(rounds: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:

@@ -41,7 +41,7 @@ class Target:
     """A function that may be protected.
 
     Attributes:
-        seen: What golden flights showed.
+        observed: What golden flights showed.
         addresses: Whether addresses are compared before loads, too: fewer crashes, more time.
         rates: Rates of silent corruption; None = it belongs to a kernel that is not to be protected.
         ticks: Time of all its calls in the golden flights (ticks of the time stamp counter).
@@ -49,7 +49,7 @@ class Target:
         time: Measured time / that of plain code.
     """
 
-    seen: ObservedFunction
+    observed: ObservedFunction
     addresses: bool
     rates: CorruptionRates | None
     ticks: float = 0.0
@@ -60,12 +60,12 @@ class Target:
     @cached_property
     def source(self) -> KernelSource:
         """IR as in a fresh process."""
-        return cached_source(self.seen.function, self.seen.signature)
+        return cached_source(self.observed.function, self.observed.signature)
 
     @cached_property
     def module(self) -> Module:
         """The parsed IR."""
-        return parse_module(self.source.text, self.seen.key.function)
+        return parse_module(self.source.text, self.observed.key.function)
 
     @cached_property
     def all_sites(self) -> frozenset[ModuleSite]:
@@ -83,13 +83,13 @@ class Target:
     @cached_property
     def values(self) -> list[Value]:
         """Values that can be duplicated, with their executions in the golden flights."""
-        executions = dict(zip(self._blocks, map(float, self.seen.executions), strict=True))
+        executions = dict(zip(self._blocks, map(float, self.observed.executions), strict=True))
         return values_of(self.module, executions, addresses=self.addresses)
 
     @cached_property
     def rows(self) -> dict[ModuleSite, InjectionSite]:
         """All instructions with a result, by site as in a plan."""
-        table = self.seen.variant.table.blocks
+        table = self.observed.variant.table.blocks
         return {
             ModuleSite(*block, row.offset): row for block, rows in zip(self._blocks, table, strict=True) for row in rows
         }
@@ -99,7 +99,7 @@ class Target:
         """Silent corruptions by instruction, if each of its executions in the golden flights were changed once."""
         if self.rates is None:
             return {}
-        executions = dict(zip(self._blocks, map(int, self.seen.executions), strict=True))
+        executions = dict(zip(self._blocks, map(int, self.observed.executions), strict=True))
         return {site: executions[site[:2]] * self.rates.of(row) for site, row in self.rows.items()}
 
     @property
@@ -118,7 +118,7 @@ class Target:
             return 1.0
         if sites not in self._times:
             ticks, self._times[sites] = self._timed(sites)
-            self.ticks = self.ticks or ticks * self.seen.recording.total
+            self.ticks = self.ticks or ticks * self.observed.recording.total
         return self._times[sites]
 
     @cached_property
@@ -128,7 +128,7 @@ class Target:
 
     def _clock(self, module: Module) -> Clock:
         """Clock of a variant of the function."""
-        environment = environment_of(self.seen.function, self.seen.signature)
+        environment = environment_of(self.observed.function, self.observed.signature)
         return Timed(self.source, module, environment).ticks
 
     def _timed(self, sites: Collection[ModuleSite]) -> tuple[float, float]:
@@ -139,7 +139,7 @@ class Target:
         def is_enough(rounds: int) -> bool:
             return rounds >= _MAX_ROUNDS_PER_S * TIMED_S or monotonic() > end
 
-        timing = compare(self._plain, {"protected": protected}, self.seen.calls, is_enough)
+        timing = compare(self._plain, {"protected": protected}, self.observed.calls, is_enough)
         return timing.ticks, max(timing.ratios["protected"], 1.0)
 
     def candidates(self) -> Candidates:
@@ -204,12 +204,12 @@ def harden(
     flights: list[HardenedFlight] = []
     targets: dict[FunctionKey, Target] = {}
     for planner, kernels in ledger.by_planner().items():
-        seen = observe(ledger.observed(planner), kernels, tell)
-        new = [_target(ledger, function, addresses=addresses) for function in seen if function.key not in targets]
-        shared = [targets[function.key] for function in seen if function.key in targets]
-        targets |= {target.seen.key: target for target in new}
+        functions = observe(ledger.observed(planner), kernels, tell)
+        new = [_target(ledger, function, addresses=addresses) for function in functions if function.key not in targets]
+        shared = [targets[function.key] for function in functions if function.key in targets]
+        targets |= {target.observed.key: target for target in new}
         for target in new:
-            tell(f"timing {target.seen.key.function}")
+            tell(f"timing {target.observed.key.function}")
             target.measure(target.all_sites)
         flight = HardenedFlight(planner, [*shared, *new], new)
         spend(flight, budget, tell)
@@ -217,12 +217,13 @@ def harden(
     return flights
 
 
-def _target(ledger: HardeningLedger, seen: ObservedFunction, *, addresses: bool) -> Target:
-    kernels = [kernel for kernel in seen.kernels if kernel in ledger.kernels]
+def _target(ledger: HardeningLedger, observed: ObservedFunction, *, addresses: bool) -> Target:
+    """A function as a target, with the rates of the kernels that call it and are to be protected."""
+    kernels = [kernel for kernel in observed.kernels if kernel in ledger.kernels]
     rates = None
     if kernels:
         rates = ledger.rates(kernels)
-    return Target(seen, addresses, rates)
+    return Target(observed, addresses, rates)
 
 
 def spend(flight: HardenedFlight, budget: float, tell: Tell) -> None:
@@ -232,13 +233,16 @@ def spend(flight: HardenedFlight, budget: float, tell: Tell) -> None:
     """
     targets = [target for target in flight.new if target.all_sites]
     limit = budget * flight.ticks - sum(target.added for target in flight.targets)
-    best = [frozenset[ModuleSite]() for _ in targets]
-    most_removed = 0.0
+
+    # Everything, if it fits.
     for target in targets:
         target.protect(target.all_sites)
     if sum(target.added for target in targets) <= limit:
         return
 
+    # Else the best choice that fits; its allowance, an estimate, is corrected by the time that was measured.
+    best = [frozenset[ModuleSite]() for _ in targets]
+    most_removed = 0.0
     functions = [target.candidates() for target in targets]
     allowance = limit
     for _ in range(_MAX_CHOICES):
@@ -273,9 +277,9 @@ def plan_of(ledger: HardeningLedger, flights: Sequence[HardenedFlight], budget: 
     ticks_of_kernel: dict[str, float] = defaultdict(float)
     for flight in flights:
         for target in flight.new:
-            ticks_of_kernel[target.seen.kernels[0]] += target.ticks
+            ticks_of_kernel[target.observed.kernels[0]] += target.ticks
     functions = [
-        _planned(target, round(target.ticks / ticks_of_kernel[target.seen.kernels[0]], 4))
+        _planned(target, round(target.ticks / ticks_of_kernel[target.observed.kernels[0]], 4))
         for flight in flights
         for target in flight.new
         if target.rates is not None
@@ -291,10 +295,10 @@ def _planned(target: Target, share: float) -> FunctionPlan:
         kind = "duplicate"
         predicted = removed_share([target])
     return FunctionPlan(
-        kernel=target.seen.kernels[0],
-        function=target.seen.key.function,
-        signature=target.seen.key.signature,
-        ir_sha256=target.seen.variant.ir_sha256,
+        kernel=target.observed.kernels[0],
+        function=target.observed.key.function,
+        signature=target.observed.key.signature,
+        ir_sha256=target.observed.variant.ir_sha256,
         kind=kind,
         addresses=target.addresses,
         sites=tuple(target.sites),

@@ -72,13 +72,13 @@ class CorruptionRates:
 
 
 class Losses(NamedTuple):
-    """What the faults of a ledger did to missions that succeed without them: what protection cannot buy.
+    """What the faults of a ledger did to missions that succeed without them: the most that protection could save.
 
     Attributes:
         silent: Number of silent corruptions.
-        lost_silent: Missions that they lost.
+        lost_silent: Missions that silent corruptions lost.
         dead: Number of crashes, hangs and exceptions of a kernel, whose node restarts.
-        lost_dead: Missions that they lost.
+        lost_dead: Missions that dead kernels lost.
     """
 
     silent: int
@@ -114,7 +114,8 @@ class HardeningLedger:
             campaign = stored_campaign(store)
             digest = store.digest()
         sampled: tuple[str, ...] = ()
-        if campaign.sampling.level == "instruction":  # detectors, of which it may sample instructions, too, are left
+        if campaign.sampling.level == "instruction":
+            # A campaign may sample instructions of detectors, too: these belong to an arm, and are not protected.
             sampled = tuple(target.name for target in campaign_targets(campaign) if not target.arm)
         if not sampled:
             raise no_instruction_faults(directory)
@@ -148,6 +149,7 @@ class HardeningLedger:
     # ---- faults -----------------------------------------------------------------------------------------------------
     @cached_property
     def _runs(self) -> Runs:
+        """All runs of the ledger."""
         return Runs.read(self.directory)
 
     @cached_property
@@ -170,10 +172,10 @@ class HardeningLedger:
         """Rates of silent corruption of a kernel's output, by the faults in some kernels."""
         faults = self.faults.where(pl.col("kernel").is_in(kernels))
         columns = (faults[name] for name in ("opcode", "value_type", "file", "line", "value_class"))
-        silent = (effect == SDC for effect in faults["kernel_effect"])
+        instructions = zip(*columns, strict=True)
         return CorruptionRates(
-            (groups_of(*instruction), is_silent)
-            for instruction, is_silent in zip(zip(*columns, strict=True), silent, strict=True)
+            (groups_of(*instruction), effect == SDC)
+            for instruction, effect in zip(instructions, faults["kernel_effect"], strict=True)
         )
 
     @property
@@ -182,9 +184,8 @@ class HardeningLedger:
         informative = self.faults.where("golden_success")
         silent = informative.where(kernel_effect=SDC)
         dead = informative.where(pl.col("kernel_effect").is_in(KERNEL_DUE))
-        return Losses(
-            len(silent), len(silent.where(~pl.col("success"))), len(dead), len(dead.where(~pl.col("success")))
-        )
+        is_lost = ~pl.col("success")
+        return Losses(len(silent), len(silent.where(is_lost)), len(dead), len(dead.where(is_lost)))
 
     # ---- proof ------------------------------------------------------------------------------------------------------
     def proof(self, plan: Path) -> dict[str, Any]:
@@ -198,9 +199,12 @@ class HardeningLedger:
         Raises:
             BadInputError: The ledger has no silent corruption.
         """
+        # The share of silent corruptions that protected code has to stay below.
         (verdict,) = judge(self._runs.where(pl.col("kernel").is_in(self.kernels)), [Requirement.parse("sdc < 100 %")])
         if not verdict.rate.rate:
             raise BadInputError(f"{self.directory}: no fault is a silent corruption; there is nothing to protect from")
+
+        # The same campaign in protected code, on the seeds that follow.
         content = self.campaign.to_json()
         unchanged = {
             key: content[key] for key in ("environments", "missions", "faults", "mission", "parts") if content.get(key)

@@ -180,11 +180,11 @@ def _write(exported: ExportedFlight, to: Path, source: str) -> int:
     from mavfi.extras.logs.timeline import PublishedStates, timeline
     from mavfi.flight.compose import pipeline_config
     from mavfi.pipeline.kernel import map_grid
-    from mavfi.sim.environments import build_world
+    from mavfi.sim.environments import scenario_world
 
     # Messages of the flight in its world.
     scenario = _scenario(log, source)
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
+    world = scenario_world(scenario)
     publications = None
     if exported.published is not None:
         grid = map_grid(pipeline_config(scenario, world, np.zeros((1, 3))))

@@ -23,7 +23,8 @@ from mavfi.extras.logs.timeline import (
     stamp_ns,
     tick_messages,
 )
-from mavfi.flight.loop import FlightItem, Loop
+from mavfi.flight.loop import Loop
+from mavfi.flight.observers import FlightItem
 from mavfi.mission import MissionStatus
 from mavfi.record import COLUMNS
 from mavfi.states import State

@@ -22,7 +22,8 @@ from mavfi.extras.logs.ned import euler, ned_of
 from mavfi.extras.shared.frames import Triple, geodetic
 from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics, reading
 from mavfi.extras.shared.mavlink_frames import Frame, frame_size, mavlink_dialect, numbers_of
-from mavfi.flight.loop import FlightItem, Loop
+from mavfi.flight.loop import Loop
+from mavfi.flight.observers import FlightItem
 from mavfi.mission import MissionStatus
 from mavfi.record import FlightLog
 from mavfi.states import State

@@ -239,6 +239,8 @@ def _take_properties(data: MultirotorData, robot: UrdfRobot, properties: ET.Elem
     elif value("arm") is not None:
         data.values["arm_length"] = value("arm")
         data.notes["arm_length"] = "<properties>: arm"
+
+    # Rotors: torque / thrust, and the largest thrust, a quarter of the vehicle's.
     kf = value("kf")
     km = value("km")
     lift = value("thrust2weight")
@@ -248,11 +250,15 @@ def _take_properties(data: MultirotorData, robot: UrdfRobot, properties: ET.Elem
     if lift and data.body is not None:
         data.values["max_rotor_thrust"] = float(f"{0.25 * lift * data.body.mass * GRAVITY:.6g}")
         data.notes["max_rotor_thrust"] = f"<properties>: thrust2weight {lift:g}"
+
+    # The collision sphere reaches to the tips of the propellers.
     if value("prop_radius") and data.rotors and data.body is not None:
         centre = data.body.centre
         reach = max(length(rotor.position - centre) for rotor in data.rotors) + (value("prop_radius") or 0.0)
         data.values["collision_radius"] = float(f"{reach:.4g}")
         data.notes["collision_radius"] = "tips of the propellers: <properties>: prop_radius"
+
+    # Drag, linear in the vehicle's speed.
     sideways = value("drag_coeff_xy")
     vertical = value("drag_coeff_z")
     if sideways is not None and kf and data.body is not None:

@@ -18,7 +18,7 @@ from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.errors import BadInputError, not_known
 from mavfi.extras.paper.overhead_views import ALL
 from mavfi.extras.paper.redundancy import TMR, band, between, ratio, shipped_designs
-from mavfi.extras.paper.views import by_bits, compared
+from mavfi.extras.paper.views import by_bits, platform_flights
 from mavfi.extras.paper.worlds import Mean, MeanDifference, between_worlds, within_worlds
 from mavfi.states import Stage
 
@@ -580,7 +580,7 @@ SLOW = "cortex-a57"
 
 def _of_golden(runs: Runs, column: str, what: str, unit: MeanFormat) -> Evidence:
     """Compare successful golden flights on both platforms."""
-    flights = compared(runs).where(setting=GOLDEN)
+    flights = platform_flights(runs).where(setting=GOLDEN)
     difference = within_worlds(
         flights.where(environment=SLOW), flights.where(environment=FAST), pl.col(column), by="seed"
     )
@@ -589,7 +589,7 @@ def _of_golden(runs: Runs, column: str, what: str, unit: MeanFormat) -> Evidence
 
 def _times_as_long(runs: Runs, factor: float) -> Evidence:
     """Compare successful flights with a fault: mean time on the slow platform, and factor x that on the fast one."""
-    flights = compared(runs).where(setting=FI)
+    flights = platform_flights(runs).where(setting=FI)
     scaled = flights.where(environment=FAST).adding(flight_time_s=factor * pl.col("flight_time_s"))
     difference = within_worlds(flights.where(environment=SLOW), scaled, pl.col("flight_time_s"), by="seed")
     return _evidence(difference, SLOW, f"{factor:g} x {FAST}", more=True, what="mean flight time", unit=_SECONDS)

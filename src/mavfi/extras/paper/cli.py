@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import completion, options
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import PICTURES, check_file, console, say_written, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.files import check_folder, is_file
@@ -23,19 +23,18 @@ if TYPE_CHECKING:
     from mavfi.extras.paper.study import Study
     from mavfi.mission import MissionSpec
 
-
-from mavfi.cli.console import PICTURES, check_file, say_written
-
 HELP_PANEL = "Campaigns"
 MODELS = "models"
 """Subfolder of the study for the trained models."""
 PAGE = "report.html"
+"""Name of the study's page."""
 FLIGHTS_EACH = 5
-"""Name of the study's page, and its number of flights of each campaign: 1.5 MB and less than a minute of two
-processors for the paper's study; `mavfi report DIR --html FILE --flights N` writes it with more."""
-TIMED = "overheads_as_in_the_paper"
+"""Flights of each campaign in the page: 1.5 MB and less than a minute of two processors for the paper's study;
+`mavfi report DIR --html FILE --flights N` writes it with more."""
+TIMED_VIEW = "overheads_as_in_the_paper"
+"""View whose overheads are measured."""
 TIMED_FLIGHTS = 3
-"""View whose overheads are measured, and golden flights per environment and detector for it."""
+"""Golden flights per environment and detector from which they are measured."""
 
 
 def reproduce(  # noqa: PLR0913 - one parameter per option
@@ -77,34 +76,36 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.extras.paper.study import load_study
 
     # everything that can be refused is refused before anything is flown
-    whole = load_study(study)
-    check_names(whole, study)
-    chosen = whole.at_scale(scale)
-    campaigns = chosen.campaigns_at(scale)
+    full_study = load_study(study)
+    check_names(full_study, study)
+    scaled = full_study.at_scale(scale)
+    campaigns = scaled.campaigns_at(scale)
     executor = LocalExecutor(workers)
     for folder, campaign in campaigns.items():
-        _check_campaign(campaign, chosen.campaigns[folder], out / folder)
+        _check_campaign(campaign, scaled.campaigns[folder], out / folder)
     check_folder(out)
-    lacking = _missions_to_train(campaigns.values(), out / MODELS, chosen.training_flights)
-    wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
-    timed = _folders_to_time(chosen, campaigns, out)
+    untrained_missions = _missions_to_train(campaigns.values(), out / MODELS, scaled.training_flights)
+    detectors = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
+    timed_folders = _folders_to_time(scaled, campaigns, out)
 
     # each step writes its results, so that the command can be stopped and resumed
-    stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
+    stop_message = f"Stopped. What is done is kept in {out}; the same command resumes."
     note_run(out, workers)
-    with stoppable(stopped), StudyBar(f"study {chosen.name}") as bar:
+    with stoppable(stop_message), StudyBar(f"study {scaled.name}") as bar:
         bar.begin_step("compilation", "tasks")
         compile_ahead(campaigns.values(), executor, bar.show)
-        fly = partial(record, out / MODELS, chosen.training_flights, workers=workers, progress=bar.show, only=wanted)
-        _train(lacking, fly, executor, bar)
+        fly = partial(record, out / MODELS, scaled.training_flights, workers=workers, progress=bar.show, only=detectors)
+        _train(untrained_missions, fly, executor, bar)
         bar.begin_step("flights of all campaigns")
-        begun = {out / folder: begin(campaigns[folder], out / folder, models_dir=out / MODELS) for folder in campaigns}
-        run_campaigns(begun, executor=executor, progress=bar.show_campaigns)
-        for folder in timed:  # in one process, with no other work at the same time
+        started = {
+            out / folder: begin(campaigns[folder], out / folder, models_dir=out / MODELS) for folder in campaigns
+        }
+        run_campaigns(started, executor=executor, progress=bar.show_campaigns)
+        for folder in timed_folders:  # in one process, with no other work at the same time
             bar.begin_step("timed flights")
             save(measure(campaigns[folder], TIMED_FLIGHTS, out / MODELS, bar.show), out / folder)
         flights = FLIGHTS_EACH * len(campaigns)
-        report, _ = write_study_report(chosen, scale, out, out / PAGE, flights, workers, bar=bar)
+        report, _ = write_study_report(scaled, scale, out, out / PAGE, flights, workers, bar=bar)
 
     # the headline, and where everything is
     if as_json:
@@ -115,14 +116,17 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
 
 def _train(
-    lacking: Iterable["MissionSpec"], fly: Callable[..., "RecordedFlights"], executor: "LocalExecutor", bar: "StudyBar"
+    untrained_missions: Iterable["MissionSpec"],
+    fly: Callable[..., "RecordedFlights"],
+    executor: "LocalExecutor",
+    bar: "StudyBar",
 ) -> None:
-    """Fly and fit the models that are lacking."""
+    """Fly training missions, and fit their models."""
     from mavfi.campaign.executors.executor import map_each
     from mavfi.campaign.training import RecordedFlights
 
     trainings = []
-    for mission in lacking:
+    for mission in untrained_missions:
         bar.begin_step("training flights")
         trainings.append(fly(mission))
     if trainings:
@@ -163,8 +167,8 @@ def _folders_to_time(study: "Study", campaigns: Mapping[str, "Campaign"], out: P
     """Folders of the campaigns whose overheads the study shows and nobody has measured yet."""
     from mavfi.extras.paper.overhead_views import load
 
-    shown = dict.fromkeys(section.campaign for section in study.sections if TIMED in section.views)
-    return [folder for folder in shown if _detectors(campaigns[folder]) and not load(out / folder)]
+    folders = dict.fromkeys(section.campaign for section in study.sections if TIMED_VIEW in section.views)
+    return [folder for folder in folders if _detectors(campaigns[folder]) and not load(out / folder)]
 
 
 def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
@@ -180,10 +184,10 @@ def _check_campaign(campaign: "Campaign", source: str, ledger: Path) -> None:
         return
     with Store.open(ledger) as store:
         stored = store.meta("identity")
-    wanted = identity_of(resolve(campaign).with_scenarios())
-    # without the models, which may still have to be trained
+    identity = identity_of(resolve(campaign).with_scenarios())
+    # Without the models, which may still have to be trained.
     keys = ("campaign", "scenarios")
-    differing = differences({key: stored.get(key) for key in keys}, {key: wanted.get(key) for key in keys})
+    differing = differences({key: stored.get(key) for key in keys}, {key: identity.get(key) for key in keys})
     if differing:
         raise BadInputError(f"{ledger}: holds another campaign (differs in: {differing}); choose another directory")
 
@@ -211,7 +215,7 @@ def _is_trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flig
     from mavfi.campaign.fingerprint import versions
     from mavfi.detectors.model import Model
 
-    here = versions()
+    current_versions = versions()
     training = {**_trained_for(mission), "flights": flights}
     trained = set()
     for path in sorted(folder.glob("*.json")):
@@ -220,7 +224,7 @@ def _is_trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flig
         except BadInputError:
             return False
         origin = model.provenance
-        fresh = all(here.get(name) == version for name, version in origin.get("versions", {}).items())
+        fresh = all(current_versions.get(name) == version for name, version in origin.get("versions", {}).items())
         if fresh and all(origin.get(key) == value for key, value in training.items()):
             trained.add((model.kind, model.profile))
     return _detectors(campaign) <= trained
@@ -254,13 +258,13 @@ def failures(
     from mavfi.extras.paper.failure_rate import failure_table, find_upsets, summary
     from mavfi.report.text import show_table
 
-    chosen = find_upsets(upsets)
+    upset_rates = find_upsets(upsets)
     runs = Runs.read(directory)
-    table = failure_table(runs, chosen)
+    table = failure_table(runs, upset_rates)
     if not table.rows:
         raise BadInputError(f"{directory}: {_why_no_failures(runs)}; `mavfi campaign run failure_rate` flies such ones")
     out = console()
-    for sentence in summary(runs, chosen):
+    for sentence in summary(runs, upset_rates):
         out.print(Text(sentence))
     out.print()
     show_table(table, out)
@@ -312,6 +316,7 @@ def redundancy(
     from mavfi.report.text import show_table
 
     check_file("--picture", picture, PICTURES)
+    # The designs, their tables and their figure.
     if vehicle:
         designs = [find_design(name) for name in vehicle]
     else:
@@ -322,6 +327,8 @@ def redundancy(
     if picture is not None:
         with style.house_style():
             style.write(draw(designs), picture)
+
+    # A sentence on each design, then the tables.
     out = console()
     for sentence in summary(designs):
         out.print(Text(sentence))

@@ -161,12 +161,12 @@ class KernelFaults(NamedTuple):
     exposed: ExposedKernel
 
 
-ExposedKernels = dict[tuple[str, str], dict[str, KernelFaults]]
-"""By (environment, setting), and kernel."""
+FaultsBySetting = dict[tuple[str, str], dict[str, KernelFaults]]
+"""Faults by (environment, setting), then by kernel."""
 
 
-def exposed(runs: Runs, success: str = "success") -> ExposedKernels:
-    """Kernels in the fault space, by environment and setting, each with the ids of its runs with a fault.
+def faults_by_setting(runs: Runs, success: str = "success") -> FaultsBySetting:
+    """Faults of a campaign in each kernel, by environment and setting; computed once for these runs.
 
     Harm is measured against the golden run of the same arm and mission.  An upset affects every instruction with the
     same probability, but faults are drawn within missions: they have the weight of the instructions that the golden run
@@ -175,32 +175,33 @@ def exposed(runs: Runs, success: str = "success") -> ExposedKernels:
     mission executes no instruction are not counted.
     """
     if ("exposed", success) not in runs.memo:
-        runs.memo["exposed", success] = _exposed(runs, success)
-    kernels: ExposedKernels = runs.memo["exposed", success]
-    return kernels
+        runs.memo["exposed", success] = _group_faults(runs, success)
+    grouped: FaultsBySetting = runs.memo["exposed", success]
+    return grouped
 
 
-def _exposed(runs: Runs, success: str) -> ExposedKernels:
-    """See `exposed`."""
+def _group_faults(runs: Runs, success: str) -> FaultsBySetting:
+    """See `faults_by_setting`."""
     golden_runs = _golden(runs)
-    kernels_by_setting: ExposedKernels = {}
+    grouped: FaultsBySetting = {}
     injected = runs.injected.where("judged", level=INSTRUCTION)
     for (environment, setting, arm), faults in injected.groups("environment", "setting", "arm").items():
         counts = instructions_per_hour(runs.golden.where(environment=environment, arm=arm))
         for (kernel,), kernel_faults in faults.groups("kernel").items():
-            # only faults that had an instruction to hit, and a flight without them to compare with
+            # Only faults that had an instruction to hit, and a flight without them to compare with.
             rows = [row for row in kernel_faults if row["has_site"] and (row["arm"], row["world"]) in golden_runs]
             if not counts.get(kernel) or not rows:
                 continue
+            # Each fault is compared with the golden run of its mission, with the weight of the mission's instructions.
             worlds = [row["world"] for row in rows]
             golden = [golden_runs[arm, world] for world in worlds]
             weights = _weights(runs, kernel, [row["run_id"] for row in golden], worlds)
             without_fault = [row["success"] for row in golden]
             with_fault = [row[success] for row in rows]
             harm = paired_difference(without_fault, with_fault, worlds, weights)
-            kernels = kernels_by_setting.setdefault((environment, setting), {})
+            kernels = grouped.setdefault((environment, setting), {})
             kernels[kernel] = KernelFaults([row["run_id"] for row in rows], ExposedKernel(counts[kernel], harm))
-    return kernels_by_setting
+    return grouped
 
 
 def _golden(runs: Runs) -> dict[tuple[str, str], dict[str, Any]]:
@@ -231,15 +232,15 @@ def payoff(runs: Runs, environment: str, setting: str, upset: float, kernels: Co
     Returns:
         Differences in pairs of runs with the same fault; None if no kernel was injected in both settings.
     """
-    if (environment, setting) not in exposed(runs):
+    kernels_of_setting = faults_by_setting(runs).get((environment, setting))
+    if kernels_of_setting is None:
         return None
     changes = _changes(runs, environment, setting, kernels)
     if not changes:
         return None
-    # what the faults in the setting's own detector cause
+    # What the faults in the setting's own detector cause.
     detectors = _detectors(runs)
-    kernels_of_setting = exposed(runs)[environment, setting].items()
-    of_detectors = [faults.exposed for kernel, faults in kernels_of_setting if kernel in detectors]
+    of_detectors = [faults.exposed for kernel, faults in kernels_of_setting.items() if kernel in detectors]
     return total_failures([*changes, *of_detectors], upset)
 
 
@@ -272,49 +273,59 @@ def _changes(runs: Runs, environment: str, setting: str, kernels: Collection[str
     detectors = _detectors(runs)
     parts_by_kernel: dict[str, list[ExposedKernel]] = {}
     for (kernel, arm), kernel_pairs in pairs.groups("kernel", "arm").items():
-        counted_arm = arm if counts[arm] else ""
+        counted_arm = ""
+        if counts[arm]:
+            counted_arm = arm
         if kernel in detectors or kernel not in counts[counted_arm]:
             continue
         if kernels and kernel not in kernels:
             continue
-        fault_free = [
-            world
-            for world in kernel_pairs.values("world")
-            if all(golden_runs.get((flown_arm, world), {}).get("success") for flown_arm in ("", arm))
-        ]
-        kernel_pairs = kernel_pairs.where(pl.col("world").is_in(fault_free))
+
+        # Pairs whose mission succeeds without a fault, with the setting and without an arm.
+        successful_worlds = []
+        for world in kernel_pairs.values("world"):
+            golden_pair = (golden_runs.get(("", world), {}), golden_runs.get((arm, world), {}))
+            if all(golden_run.get("success") for golden_run in golden_pair):
+                successful_worlds.append(world)
+        kernel_pairs = kernel_pairs.where(pl.col("world").is_in(successful_worlds))
         if not len(kernel_pairs):
             continue
+
+        # The two parts of the change, each with the weights of its golden runs.
         with_setting = [golden_runs[counted_arm, world]["run_id"] for world in kernel_pairs["world"]]
         without_arm = [golden_runs["", world]["run_id"] for world in kernel_pairs["world"]]
-        instructions = counts[counted_arm][kernel], counts[""].get(kernel, 0.0)
-        parts_by_kernel[kernel] = _changed(kernel_pairs, kernel, instructions, with_setting, without_arm)
+        executed = counts[counted_arm][kernel]
+        executed_without = counts[""].get(kernel, 0.0)
+        parts_by_kernel[kernel] = _changed(kernel_pairs, kernel, executed, executed_without, with_setting, without_arm)
     return [part for parts in parts_by_kernel.values() for part in parts]
 
 
 def _changed(
-    pairs: Runs, kernel: str, instructions: tuple[float, float], with_setting: Sequence[str], without_arm: Sequence[str]
+    pairs: Runs,
+    kernel: str,
+    executed: float,
+    executed_without: float,
+    with_setting: Sequence[str],
+    without_arm: Sequence[str],
 ) -> list[ExposedKernel]:
     """The parts of `_changes` of a kernel, from instructions and golden runs with the setting and without an arm."""
     worlds = pairs["world"]
     fault_alone = pairs["fi_success"]
     weights = _weights(pairs, kernel, with_setting, worlds)
     harm_change = paired_difference(fault_alone, pairs["dr_success"], worlds, weights)
-    with_setting_count, without_arm_count = instructions
-    parts = [ExposedKernel(with_setting_count, harm_change)]
-    if without_arm_count:
-        added = with_setting_count - without_arm_count
-        if added:
-            weights = _weights(pairs, kernel, without_arm, worlds)
-            harm = paired_difference([True] * len(pairs), fault_alone, worlds, weights)
-            parts.append(ExposedKernel(added, harm))
+    parts = [ExposedKernel(executed, harm_change)]
+    # The harm in added instructions; none are known if those without an arm were not counted.
+    if executed_without not in (0.0, executed):
+        weights = _weights(pairs, kernel, without_arm, worlds)
+        harm = paired_difference([True] * len(pairs), fault_alone, worlds, weights)
+        parts.append(ExposedKernel(executed - executed_without, harm))
     return parts
 
 
 def payoffs(runs: Runs, upset: float) -> list[str]:
     """Whether each detector prevents more failures than its own instructions cause, in words."""
     sentences = []
-    for environment, setting in exposed(runs):
+    for environment, setting in faults_by_setting(runs):
         if setting == FI:
             continue
         difference = payoff(runs, environment, setting, upset)
@@ -342,16 +353,16 @@ def verdict(difference: Estimate) -> str:
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """Rows for each kernel of a setting, and one for their sum; `run_id`: the runs behind it."""
     upset = upsets_per_instruction(upsets).value
-    kernels_by_setting = exposed(runs)
-    ended_by_setting = exposed(runs, "success_if_ended")
-    for (environment, setting), kernels in kernels_by_setting.items():
+    grouped = faults_by_setting(runs)
+    grouped_if_ended = faults_by_setting(runs, "success_if_ended")
+    for (environment, setting), kernels in grouped.items():
         group = {"environment": environment, "setting": setting}
-        ended = {
+        if_ended = {
             kernel: faults.exposed.without_negative_harm()
-            for kernel, faults in ended_by_setting[environment, setting].items()
+            for kernel, faults in grouped_if_ended[environment, setting].items()
         }
 
-        # a row for each kernel
+        # A row for each kernel.
         for kernel, (run_ids, part) in kernels.items():
             caused = part.without_negative_harm().failures(upset)
             yield {
@@ -363,17 +374,17 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
                 "instructions": part.instructions,
                 "harm": asdict(part.harm),
                 "failures": asdict(caused),
-                "ended": asdict(ended[kernel].failures(upset)),
+                "ended": asdict(if_ended[kernel].failures(upset)),
             }
 
-        # their sum, against that of faults without a detector
+        # Their sum, against that of faults without a detector.
         parts = [faults.exposed for faults in kernels.values()]
         instructions = sum(part.instructions for part in parts)
         total = _caused(kernels, upset)
         harm = total_failures(parts, 1.0).times(1 / instructions)
         against = None
-        if setting != FI and (environment, FI) in kernels_by_setting:
-            alone = _caused(kernels_by_setting[environment, FI], upset).value
+        if setting != FI and (environment, FI) in grouped:
+            alone = _caused(grouped[environment, FI], upset).value
             if alone > 0:
                 against = total.value / alone
         run_ids = [run_id for faults in kernels.values() for run_id in faults.run_ids]
@@ -386,7 +397,7 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
             "instructions": instructions,
             "harm": asdict(harm),
             "failures": asdict(total),
-            "ended": asdict(total_failures(ended.values(), upset)),
+            "ended": asdict(total_failures(if_ended.values(), upset)),
         }
 
 
@@ -396,6 +407,7 @@ def _caused(kernels: Mapping[str, KernelFaults], upset: float) -> Estimate:
 
 
 def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
+    """The rows of the table as runs, with a row for each run behind them."""
     rows = list(_rows(runs, upsets))
     if rows:
         frame = pl.DataFrame(rows, infer_schema_length=None).explode("run_id")
@@ -405,6 +417,7 @@ def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
 
 
 def _estimate(key: str, heading: str) -> Measure:
+    """A column of estimates."""
     return Measure(key, heading, ESTIMATE, lambda runs: Estimate(**runs.first(key)))
 
 
@@ -417,14 +430,14 @@ _DIFFERENCE = (
 
 def failure_notes(upsets: UpsetConfig, runs: Runs) -> list[str]:
     """Notes on omitted settings, definitions, assumptions and sources of the table."""
-    # what is left out, and whether a detector pays; the latter with the explanation of its test
+    # Whether a detector pays, with the explanation of the test; settings that are left out.
     rate = upsets_per_instruction(upsets)
     verdicts = payoffs(runs, rate.value)
     if verdicts:
         verdicts = [*verdicts, _DIFFERENCE]
     fit = upsets.fit_per_mbit
     altitude = upsets.altitude
-    counted = {setting for _, setting in exposed(runs)}
+    counted = {setting for _, setting in faults_by_setting(runs)}
     left_out = [
         f"{setting}: not in the table, the golden runs of its arm were not counted; needed: its detector (for "
         "recommended: acceptance) in sampling.kernels"
@@ -479,7 +492,7 @@ def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
     """Failures per flight hour of each setting, one sentence per environment, and whether its detector pays."""
     upset = upsets_per_instruction(upsets).value
     rates_by_environment: dict[str, list[str]] = {}
-    for (environment, setting), kernels in exposed(runs).items():
+    for (environment, setting), kernels in faults_by_setting(runs).items():
         total = _caused(kernels, upset)
         rates_by_environment.setdefault(environment, []).append(f"{setting} {cell(total, ESTIMATE)}")
     rates = [

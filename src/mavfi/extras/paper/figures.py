@@ -34,8 +34,8 @@ from mavfi.extras.paper.views import (
     by_bits,
     by_kernel,
     by_state,
-    compared,
     distribution,
+    platform_flights,
     platforms,
     value_at_risk,
 )
@@ -259,7 +259,7 @@ def flight_times(runs: Runs) -> Figure | None:
     """
     # a panel for each platform, a column for each setting
     platform_of = platforms(runs)
-    all_flights = compared(runs)
+    all_flights = platform_flights(runs)
     settings = [GOLDEN, *all_flights.settings()]
     if not platform_of or len(settings) < 2:
         return None

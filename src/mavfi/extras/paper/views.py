@@ -274,11 +274,12 @@ def _recovered(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         return contrast_measure(key, heading, POINTS_TEST, compared, "inflation", share, operator.sub)
 
     yield points("recovered", "recovered by", 1.0)
-    yield from paper.beside(Measure("paper_recovered", "paper's", "signed points", _papers))(runs, by)
+    yield from paper.beside(Measure("paper_recovered", "paper's", "signed points", _papers_recovered))(runs, by)
     yield points("recovered_p95", "of the 95 %", 0.95)
 
 
-def _papers(runs: Runs) -> float | None:
+def _papers_recovered(runs: Runs) -> float | None:
+    """The same value in the paper."""
     if not paper.comparable(runs):
         return None
     setting = {key: runs.first(key) for key in SETTING}
@@ -326,7 +327,6 @@ _FLIGHT_TIMES = View(
 
 # ---- Fig. 9 of the paper and its table: the same missions on different computing platforms -------------------------
 
-_SECONDS = "number .1f s"
 _KJ = "number .1f kJ"
 _RATIO = "number .2f ×"
 
@@ -341,7 +341,7 @@ def platforms(runs: Runs) -> dict[str, str]:
     return {}
 
 
-def compared(runs: Runs) -> Runs:
+def platform_flights(runs: Runs) -> Runs:
     """Successful runs, without golden runs of detector arms, which differ from the bare ones by false alarms only."""
     flown = of_missions(runs).where("judged", "success")
     return flown.where(pl.col("setting").is_in([GOLDEN, *runs.settings()]))
@@ -474,7 +474,7 @@ def _explanation(runs: Runs) -> list[str]:
         "of the power model: its energies follow from its times",
     ]
     # this campaign: golden flights on the first and the last platform
-    golden = compared(runs).where(setting=GOLDEN)
+    golden = platform_flights(runs).where(setting=GOLDEN)
     by_environment = {name: group for (name,), group in golden.groups("environment").items()}
     times = [_median(by_environment[name]) for name in platforms(runs) if name in by_environment]
     if len(times) < 2 or not times[0] or not times[-1]:
@@ -502,9 +502,9 @@ _PLATFORMS = View(
     ("environment", "setting"),
     (
         m.count("n", "flights"),
-        Measure("median_s", "median time", _SECONDS, _median),
-        Measure("worst_s", "worst time", _SECONDS, _worst),
-        paper.beside(Measure("paper_s", "paper", _SECONDS, lambda runs: _printed(runs, "flight_time_s"))),
+        Measure("median_s", "median time", SECONDS, _median),
+        Measure("worst_s", "worst time", SECONDS, _worst),
+        paper.beside(Measure("paper_s", "paper", SECONDS, lambda runs: _printed(runs, "flight_time_s"))),
         m.median("energy_j", "median energy", _KJ),
         paper.beside(Measure("paper_kj", "paper", _KJ, _printed_energy)),
         Measure("power_w", "power", "number .0f W", _power),
@@ -512,7 +512,7 @@ _PLATFORMS = View(
         _against_first,
         paper.beside(Measure("paper_processor", "paper: processor", "text", _printed_processor)),
     ),
-    where=compared,
+    where=platform_flights,
     headings=("platform", "setting"),
     notes=lambda runs: (
         "recovered: of the worst flight time with a fault beyond the worst golden one, the share that the detector "

@@ -25,8 +25,8 @@ from mavfi.analysis.statistics import (
 
 _RESAMPLES = 9999
 _SEED = 20
-_ENTRIES = 1_000_000
-"""Values of runs in the samples that are held at once."""
+_MAX_ENTRIES = 1_000_000
+"""Largest number of values in the samples that are in memory at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +116,7 @@ def contrast(
     Returns:
         None if a group is empty.
     """
+    # All runs in ascending order of the value, each with its group and world.
     parts = [group.frame.select(by, value=column, group=pl.lit(index)) for index, group in enumerate(groups)]
     rows = pl.concat(parts).drop_nulls().sort("value")
     values = rows["value"].to_numpy()
@@ -126,20 +127,22 @@ def contrast(
     world = np.array([world_index[name] for name in rows[by]])
 
     def group_quantiles(counts: np.ndarray, membership: np.ndarray) -> list[np.ndarray]:
+        """Quantiles of each group, by sample; `counts`: how often each run is in each sample."""
         return [quantiles(values, counts * (membership == index), share) for index in range(len(groups))]
 
     def swapped(signs: np.ndarray, axis: int = -1) -> np.ndarray:
-        del axis
+        """Difference of the first two groups, exchanged in the worlds whose sign is negative."""
+        del axis  # SciPy names the last one
         flipped = (np.atleast_2d(signs)[:, world] < 0) & (group < 2)
         first, second, *_ = group_quantiles(np.ones(flipped.shape, np.int32), np.where(flipped, 1 - group, group))
         difference: np.ndarray = (first - second).reshape(signs.shape[:-1])
         return difference
 
-    # a sample may lack every world of a group: its contrast is NaN, and no part of the interval
+    # A sample may lack every world of a group: its contrast is NaN, and no part of the interval.
     with np.errstate(invalid="ignore", divide="ignore"):
         low, high = percentiles(of(*group_quantiles(draws(len(world_index))[:, world], group)))
         value = float(of(*group_quantiles(np.ones((1, len(values)), np.int32), group))[0])
-    p_value = _p_value((np.ones(len(world_index)),), swapped, "samples", batch=max(1, _ENTRIES // len(values)))
+    p_value = _p_value((np.ones(len(world_index)),), swapped, "samples", batch=max(1, _MAX_ENTRIES // len(values)))
     return Contrast(len(world_index), value, low, high, None, p_value)
 
 
@@ -157,15 +160,15 @@ def contrast_measure(  # noqa: PLR0913 - what `Measure` and `contrast` take
     """A column of contrasts; `groups` maps the rows of a group to the compared ones, none = no cell."""
 
     def counted(runs: Runs) -> Runs:
-        compared = groups(runs)
-        if compared:
-            return replace(runs, frame=pl.concat([part.frame for part in compared]))
+        compared_groups = groups(runs)
+        if compared_groups:
+            return replace(runs, frame=pl.concat([part.frame for part in compared_groups]))
         return runs
 
     def cell(runs: Runs) -> Contrast | None:
-        compared = groups(runs)
-        if compared:
-            return contrast(compared, column, share, of, by=by)
+        compared_groups = groups(runs)
+        if compared_groups:
+            return contrast(compared_groups, column, share, of, by=by)
         return None
 
     return Measure(key, heading, form, cell, counted=counted)
@@ -199,17 +202,20 @@ def quantiles(values: np.ndarray, counts: np.ndarray, share: float) -> np.ndarra
 
 
 def _difference(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Difference of means, the statistic of `between_worlds`."""
     difference: np.ndarray = np.mean(first, axis=axis) - np.mean(second, axis=axis)
     return difference
 
 
 def _by_world(runs: Runs, value: pl.Expr, by: str = "world") -> dict[str, list[float]]:
+    """Values of the runs of each world."""
     rows = runs.frame.select(by, value=value.cast(pl.Float64)).drop_nulls()
     parts = rows.partition_by(by, maintain_order=True, as_dict=True)
     return {str(world): part["value"].to_list() for (world,), part in parts.items()}
 
 
 def _mean(runs: Runs, value: pl.Expr) -> Mean:
+    """The mean of a value over runs, with its interval."""
     rows = runs.frame.select("world", value=value).drop_nulls()
     worlds = rows["world"].to_list()
     values = rows["value"].cast(pl.Float64).to_numpy()

@@ -112,7 +112,10 @@ class _Site:
         if ledger.last_read is None and _WAITS not in request.headers:
             return HTMLResponse(pages.reading(self._folder, ledger.key))
         others = [key for key in await _in_thread(self.ledgers) if key != ledger.key]
-        return HTMLResponse(await _in_thread(_campaign, self._folder, ledger, others))
+        return HTMLResponse(await _in_thread(self._campaign_page, ledger, others))
+
+    def _campaign_page(self, ledger: ServedLedger, others: Sequence[str]) -> str:
+        return pages.campaign(self._folder, ledger.key, ledger.pace(), ledger.read(), others)
 
     async def state(self, request: Request) -> Response:
         """Stamp and progress of a campaign, which its page asks for while it is open."""
@@ -143,7 +146,11 @@ class _Site:
     async def compare(self, request: Request) -> Response:
         """Two campaigns side by side."""
         ledgers = [self._find(request.query_params.get(name, "")) for name in ("first", "second")]
-        return HTMLResponse(await _in_thread(_compare, self._folder, ledgers))
+        return HTMLResponse(await _in_thread(self._comparison_page, ledgers))
+
+    def _comparison_page(self, ledgers: Sequence[ServedLedger]) -> str:
+        campaigns = [pages.ComparedCampaign(ledger.key, ledger.pace(), ledger.read()) for ledger in ledgers]
+        return pages.compare(self._folder, campaigns)
 
 
 async def _in_thread(function: Callable[..., T], *arguments: object) -> T:
@@ -167,10 +174,6 @@ def _row(ledger: ServedLedger) -> str:
         return pages.refused_row(str(error))
 
 
-def _campaign(folder: Path, ledger: ServedLedger, others: Sequence[str]) -> str:
-    return pages.campaign(folder, ledger.key, ledger.pace(), ledger.read(), others)
-
-
 def _state(ledger: ServedLedger) -> dict[str, Any]:
     pace = ledger.pace()
     return {
@@ -181,11 +184,6 @@ def _state(ledger: ServedLedger) -> dict[str, Any]:
         "total": pace.status.total,
         "text": pace.text,
     }
-
-
-def _compare(folder: Path, ledgers: Sequence[ServedLedger]) -> str:
-    columns = [pages.ComparedCampaign(ledger.key, ledger.pace(), ledger.read()) for ledger in ledgers]
-    return pages.compare(folder, columns)
 
 
 def _refused(request: Request, error: Exception) -> Response:

@@ -219,10 +219,10 @@ class ServedLedger:
         """Rate of a running campaign and the time left, to be appended to its progress."""
         since, done_before = self._done[0]
         seconds = time.monotonic() - since
-        flown = status.done - done_before
-        if not flown or seconds < _RATE_FROM_S:
+        done_since = status.done - done_before
+        if not done_since or seconds < _RATE_FROM_S:
             return ", running"
-        rate = flown / seconds
+        rate = done_since / seconds
         return f", {speed(rate, 'runs')}, {duration((status.total - status.done) / rate)} left"
 
 

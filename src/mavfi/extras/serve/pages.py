@@ -66,14 +66,13 @@ def stamp_text(stamp: Stamp) -> str:
 
 
 def tiles(answer: CampaignAnswer) -> list[Tile]:
-    """What a campaign answers first; empty if its runs are no flights."""
-    shown = []
+    """What a campaign answers first; empty if its runs are not flights."""
+    first_tiles = []
     if answer.without_fault.n:
-        shown.append(_tile("Without a fault", answer.without_fault, "missions succeed"))
+        first_tiles.append(_tile("Without a fault", answer.without_fault, "missions succeed"))
     if answer.with_fault.n:
-        shown.append(_tile(answer.fault, answer.with_fault, "missions succeed"))
-    shown += map(_recovered_tile, answer.recovered[:MAX_DETECTORS])
-    return shown
+        first_tiles.append(_tile(answer.fault, answer.with_fault, "missions succeed"))
+    return [*first_tiles, *map(_recovered_tile, answer.recovered[:MAX_DETECTORS])]
 
 
 def _tile(heading: str, rate: Rate, noun: str) -> Tile:

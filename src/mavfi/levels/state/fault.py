@@ -85,7 +85,9 @@ class StateFault(Fault):
             raise BadInputError(f"{where}: {operation.name}: is the length of a list; allowed: flips of a bit")
         if self.times != 1 or self.share != 1.0 or self.width != 1 or self.also or change.when.start_s > 0.0:
             raise BadInputError(f"{where}: times, share, width, also: allowed: those of the change {operation}")
-        if (self.bit is None) is (operation.name == "flip") or operation.bit is not None:
+        has_bit = self.bit is not None
+        is_flip = operation.name == "flip"
+        if has_bit is not is_flip or operation.bit is not None:
             raise BadInputError(f"{where}: bit: {self.bit}: allowed: of a flip, and none of another operation")
         if operation.name != "freeze":
             dtype = spec.find(self.where.field).dtype

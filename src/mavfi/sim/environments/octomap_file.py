@@ -54,8 +54,12 @@ _TOO_DEEP = -2
 _NO_LOG_ODDS = -3
 _SOLID, _INNER = 2, 3
 """Kinds of children in a `.bt` file; 0 is unknown, 1 free."""
-_PASSAGE, _NEAR = 0.2, 1.0
+_PASSAGE = 0.2
+"""Radius of the sphere that must be able to pass (m)."""
+_NEAR = 1.0
+"""Distance within which a region counts as near an end (m)."""
 _MARGINS = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
+"""Margins of the flight box beside the ends, tried in this order (m)."""
 
 
 class Leaves(NamedTuple):
@@ -114,6 +118,7 @@ def octomap_file(
         BadInputError: The file is absent, foreign, empty, truncated or too large, start or goal are missing, or there
             is no path between them.
     """
+    # Refuse what is missing or not allowed.
     del seed
     if not isinstance(path, str):
         raise BadInputError(f"parameter 'path': {path!r}; allowed: a file ending in .bt or .ot")
@@ -121,6 +126,8 @@ def octomap_file(
         raise BadInputError(f"parameter 'unknown': {unknown!r}; allowed: {SOLID}, {FREE}")
     if start is None or goal is None:
         raise BadInputError(f"{path}: a scanned map has no start and goal of its own; give both")
+
+    # The voxels, and the box in which planners may move.
     ends = np.array([start, goal], float)
     band = checked_number("band", band, 0.1, 1000.0)
     if unknown == SOLID:
@@ -167,15 +174,21 @@ def _is_passable(voxels: Voxels, ends: np.ndarray, lower: np.ndarray, upper: np.
     first = np.floor((lower - voxels.origin) / voxels.resolution).astype(int)
     last = np.ceil((upper - voxels.origin) / voxels.resolution).astype(int)
     reach = math.ceil(_PASSAGE / voxels.resolution) + 1
-    around = tuple(slice(max(0, a - reach), b + reach) for a, b in zip(first, last, strict=True))
+
+    # Distances to the nearest solid voxel, also to those just outside of the box; outside of the scan all is solid.
+    around = tuple(slice(max(0, low - reach), high + reach) for low, high in zip(first, last, strict=True))
     free = np.pad(~voxels.occupied[around], reach)
     distance = ndimage.distance_transform_edt(free) * voxels.resolution
+
+    # Connected regions of the box in which the sphere has room.
     offset = reach + first - np.maximum(0, first - reach)
-    inside = tuple(slice(o, o + n) for o, n in zip(offset, last - first, strict=True))
+    inside = tuple(slice(start, start + count) for start, count in zip(offset, last - first, strict=True))
     regions, _ = ndimage.label(distance[inside] > _PASSAGE + 0.5 * voxels.resolution, np.ones((3, 3, 3)))
-    places = np.argwhere(regions > 0)
-    labels = regions[tuple(places.T)]
-    centres = voxels.origin + voxels.resolution * (first + places + 0.5)
+
+    # A region must come near both ends.
+    cells = np.argwhere(regions > 0)
+    labels = regions[tuple(cells.T)]
+    centres = voxels.origin + voxels.resolution * (first + cells + 0.5)
     near_start, near_goal = (labels[np.linalg.norm(centres - end, axis=1) < _NEAR] for end in ends)
     return bool(np.intersect1d(near_start, near_goal).size)
 

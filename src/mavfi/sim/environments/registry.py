@@ -13,7 +13,7 @@ import numpy as np
 from mavfi.config import SCAN_ENDINGS, EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
 from mavfi.files import is_file
-from mavfi.mission import ARRIVAL_RADIUS
+from mavfi.mission import ARRIVAL_RADIUS, Scenario
 from mavfi.plugins import load_object, parameters_of
 from mavfi.sim.environments.world import World
 from mavfi.sim.mjcf import find_vehicle
@@ -29,6 +29,11 @@ _BUILT_IN = {name: f"mavfi.sim.environments.generated:{name}" for name in _GENER
 SCAN_GENERATOR = "octomap_file"
 """Generator of scanned maps."""
 _BUILT_IN[SCAN_GENERATOR] = "mavfi.sim.environments.octomap_file:octomap_file"
+
+
+def scenario_world(scenario: Scenario) -> World:
+    """The world of a scenario; see `build_world`."""
+    return build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
 
 
 def build_world(
@@ -51,16 +56,21 @@ def build_world(
         BadInputError: Unknown generator or parameter, a parameter that the generator rejects, or a start or goal
             inside an obstacle or outside the flight volume, or a start within the arrival radius.
     """
+    # A generator that has the parameters start and goal receives them.
     generator = find_generator(environment.generator)
-    known = parameters_of("generator", environment.generator, generator)[1:]
-    chosen = {"start": start, "goal": goal}
-    ends = chosen if set(chosen) <= set(known) else {}
+    parameters = parameters_of("generator", environment.generator, generator)[1:]
+    requested_ends = {"start": start, "goal": goal}
+    ends = {}
+    if set(requested_ends) <= set(parameters):
+        ends = requested_ends
     source = f"environment {environment.name!r}"
     try:
         inspect.signature(generator).bind(seed, **environment.parameters, **ends)
     except TypeError as error:
-        allowed = ", ".join(name for name in known if name not in ends)
+        allowed = ", ".join(name for name in parameters if name not in ends)
         raise BadInputError(f"{source}: generator {environment.generator}: {error}; allowed: {allowed}") from None
+
+    # Generate, and check the result, which may be that of a user's own function.
     try:
         world = generator(seed, **environment.parameters, **ends)
     except BadInputError as error:
@@ -70,7 +80,9 @@ def build_world(
             f"{source}: generator {environment.generator}: gives no World, but a {type(world).__name__}"
         )
     _check_boxes(f"{source}: generator {environment.generator}", world)
-    overrides: dict[str, Any] = {key: np.array(point) for key, point in chosen.items() if point is not None}
+
+    # In all worlds, requested ends replace those of the generator.
+    overrides: dict[str, Any] = {key: np.array(point) for key, point in requested_ends.items() if point is not None}
     world = replace(world, **overrides)
     radius = _collision_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):

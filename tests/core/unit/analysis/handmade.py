@@ -5,7 +5,6 @@ from dataclasses import replace
 from mavfi.analysis.runs import Runs
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run
-from mavfi.extras.registers.fault import RegisterFault
 from mavfi.faults.fault import FaultSite
 from mavfi.levels.instruction.fault import InstructionFault
 from mavfi.levels.state.fault import StateFault
@@ -13,7 +12,6 @@ from mavfi.record import AlarmRecord, End, EnergyTerms, FlightRecord, Injection,
 
 FAULT = StateFault(FaultSite("planning.waypoint", "x"), 1, 62, "sign_exponent", 0.1875)
 INSTRUCTION = InstructionFault("mavfi.pid.track", "ab", 7, bits=(3,), kernel="pid", entry="track", stratum="sign")
-REGISTER = RegisterFault("general", seed=1)
 GOLDEN = FlightRecord(End.FLOWN, "success", "g", 50.0, 100.0, EnergyTerms(duration_s=50.0))
 UNKNOWN = FlightRecord(End.UNKNOWN, error="KeyError")
 DUE = FlightRecord(End.DUE, error="the process died each time")

@@ -13,7 +13,6 @@ from tests.core.unit.analysis.handmade import (
     FAULT,
     GOLDEN,
     INSTRUCTION,
-    REGISTER,
     UNKNOWN,
     alarm,
     died,
@@ -119,7 +118,6 @@ def test_sites_of_every_level():
         "double",
     )
     assert campaign_runs["after"] != campaign_runs["after"] and campaign_runs["replayable"]
-    assert row(flown(), REGISTER)["register"] == "general"
 
 
 def test_every_run_has_every_column_and_runs_that_are_not_flown_are_left_out():

@@ -2,7 +2,7 @@ import pytest
 
 from mavfi.config import PlatformConfig, shipped
 from mavfi.errors import BadInputError
-from mavfi.flight.loop import Latencies, latency, stage_latency
+from mavfi.flight.latencies import Latencies, latency, stage_latency
 from mavfi.states import PPC_STAGES, Stage
 
 

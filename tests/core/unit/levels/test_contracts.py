@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from mavfi.extras.registers.fault import RegisterFault
 from mavfi.faults.changes import parse_text
 from mavfi.faults.fault import FaultSite
 from mavfi.flight.host import Flight, RunResult
@@ -72,4 +71,3 @@ class TestSensor(LevelContract):
 
 class TestLocalHost(HostContract):
     host = "local"
-    fault = RegisterFault()

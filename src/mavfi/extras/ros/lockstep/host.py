@@ -26,7 +26,7 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.record import FlightLog
 from mavfi.sim.camera import pixel_directions
-from mavfi.sim.environments import build_world
+from mavfi.sim.environments import scenario_world
 
 PATIENCE_S = 300.0
 """Time limit for a node's response (s, wall clock); generous, as a slow node mistaken for a hung one is killed, which
@@ -108,7 +108,7 @@ class RosFlight:
 
 def configure(scenario: Scenario) -> PipelineConfig:
     """The kernels' configuration for a mission."""
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
+    world = scenario_world(scenario)
     return pipeline_config(scenario, world, pixel_directions(scenario.camera))
 
 
@@ -208,7 +208,7 @@ def _result(folder: Path, plan: FlightPlan) -> Flight:
     if not (folder / files.FLIGHT).exists():
         raise MavfiError("ROS: the flight ended without a record")
     scenario = plan.scenario
-    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal, scenario.arrival_radius)
+    world = scenario_world(scenario)
     profile = None
     if plan.profile:
         profile = files.read_profile(folder)

@@ -23,7 +23,7 @@ from mavfi.extras.ros.lockstep.encoding import (
 )
 from mavfi.extras.ros.lockstep.plan import FlightPlan, KernelInterface
 from mavfi.extras.ros.lockstep.ports import Client, NodeLostError
-from mavfi.flight.loop import Latencies
+from mavfi.flight.latencies import Latencies
 from mavfi.states import STATES, State
 
 

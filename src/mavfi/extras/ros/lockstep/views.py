@@ -11,7 +11,8 @@ import numpy as np
 from mavfi.extras.logs.lines import lines_at
 from mavfi.extras.ros.lockstep.plan import FlightPlan
 from mavfi.extras.ros.lockstep.transport import StandardView, Transport
-from mavfi.flight.loop import FlightItem, Loop
+from mavfi.flight.loop import Loop
+from mavfi.flight.observers import FlightItem
 from mavfi.mission import MissionStatus
 from mavfi.pipeline.kernel import map_grid
 from mavfi.states import State

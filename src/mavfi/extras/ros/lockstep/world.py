@@ -16,7 +16,8 @@ from mavfi.extras.ros.lockstep.register_injector import PLANNED, RegisterInjecto
 from mavfi.extras.ros.lockstep.remote import Counter, Link, RemoteDetector, RemoteKernel, RemotePublication
 from mavfi.extras.ros.lockstep.views import Views
 from mavfi.flight.compose import new_loop, watch
-from mavfi.flight.loop import Listener, Loop, ObserverListener
+from mavfi.flight.loop import Listener, Loop
+from mavfi.flight.observers import ObserverListener
 from mavfi.flight.restarts import Restarts
 from mavfi.levels.sensor.injector import inject_sensor_fault
 from mavfi.levels.state.injector import StateInjector
