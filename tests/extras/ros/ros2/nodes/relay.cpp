@@ -1,8 +1,10 @@
 // A C++ node on rcl alone, as rclcpp is in no package index: takes a message of each type and publishes it.
-//   relay [--announce]: with it, it announces messages to the tracer first, as rclcpp does within a process.
+//   relay [--announce | --open LIBRARY ...]: with --announce, it announces messages to the tracer first, as rclcpp does
+//   within a process; with --open, it loads libraries, as a program does that is linked without --as-needed.
 #include <chrono>
 #include <cstdio>
 #include <cstring>
+#include <dlfcn.h>
 #include <string>
 #include <vector>
 
@@ -69,6 +71,11 @@ struct RouteOf : Route {
 
 int main(int argc, char **argv) {
   announces = argc > 1 && !strcmp(argv[1], "--announce");
+  for (int i = 2; i < argc && !strcmp(argv[1], "--open"); i++) {
+    if (dlopen(argv[i], RTLD_LAZY | RTLD_GLOBAL)) continue;
+    fprintf(stderr, "%s\n", dlerror());
+    return 1;
+  }
   auto allocator = rcl_get_default_allocator();
   auto options = rcl_get_zero_initialized_init_options();
   auto context = rcl_get_zero_initialized_context();

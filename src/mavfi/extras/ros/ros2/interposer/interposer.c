@@ -149,6 +149,13 @@ static void forget(const void *entity) {
   pthread_mutex_unlock(&known_lock);
 }
 
+static int note_rclpy(struct dl_phdr_info *library, size_t size, void *found) {
+  (void)size;
+  const char *name = strrchr(library->dlpi_name, '/');
+  if (name && !strncmp(name, "/_rclpy", 7)) *(bool *)found = true;
+  return 0;
+}
+
 static bool is_loaded(const char *package, const char *kind, const char *language) {
   char name[256];
   snprintf(name, sizeof name, "lib%s__%s_%s.so", package, kind, language);
@@ -161,11 +168,12 @@ static bool remember_by_name(const entity_t *entity, const char *type_name, bool
   char package[128], kind[16], name[128], library[300], symbol[512];
   if (sscanf(type_name, "%127[^/]/%15[^/]/%127s", package, kind, name) != 3) REFUSE("its type is not known");
 
-  // Whether the process has C or C++ messages shows in the type support that it has loaded.
-  bool has_c = is_loaded(package, "rosidl_typesupport", "c");
+  // Whether the process has C or C++ messages shows in the client library that it has loaded.  Tables for Python are no
+  // sign of Python nodes: a C++ program that is linked without --as-needed loads them, too.
   bool has_cpp = is_loaded(package, "rosidl_typesupport", "cpp");
   bool has_rclcpp = dlopen("librclcpp.so", RTLD_LAZY | RTLD_NOLOAD) != NULL;
-  bool has_rclpy = has_c && is_loaded(package, "rosidl_generator", "py");
+  bool has_rclpy = false;
+  dl_iterate_phdr(note_rclpy, &has_rclpy);
   if (has_rclcpp && has_rclpy) REFUSE("C++ and Python nodes in one process: start it with `mavfi ros run`");
   bool is_cpp = has_rclcpp || (has_cpp && !has_rclpy);
   const char *language = is_cpp ? "cpp" : "c";
@@ -462,14 +470,14 @@ static int publish_as(const verdict_t *verdict, const entity_t *publisher, const
   return next(publisher, message, allocation);
 }
 
-// The message whose hand-over within the process has been examined, and its publisher.
-static __thread const void *announced;
+// The publisher whose latest message has been examined when it was handed over within the process.  What it sends to
+// other processes may be a copy, so the message is not known by its address.
 static __thread const entity_t *announced_by;
 
 int rmw_publish(const entity_t *publisher, const void *message, void *allocation) {
   NEXT(rmw_publish);
-  bool is_examined = message && announced == message && announced_by == publisher;
-  announced = NULL;
+  bool is_examined = announced_by == publisher;
+  announced_by = NULL;
   if (is_examined || (!is_armed() && !atomic_load(&waiting))) return next(publisher, message, allocation);
   if (!is_armed()) {
     int sent = next(publisher, message, allocation);
@@ -548,7 +556,6 @@ void ros_trace_rclcpp_intra_publish(const void *rcl_publisher, const void *messa
     if (verdict.fault >= 0) {
       refuse((uint32_t)verdict.fault, verdict.number, "handed over as a pointer: only its numbers change");
     }
-    announced = message;
     announced_by = publisher;
   }
   if (next) next(rcl_publisher, message);
@@ -679,6 +686,8 @@ DESTROY_FUNCTION(rmw_destroy_service)
 /* ---- loading ------------------------------------------------------------------------------------------------------- */
 static void note_process(void) { process_id = (uint32_t)getpid(); }
 
+static bool is_attached;  // to a page
+
 static bool open_page(const char *path) {
   int file = open(path, O_RDWR | O_CLOEXEC);
   if (file < 0) return false;
@@ -686,6 +695,12 @@ static bool open_page(const char *path) {
   close(file);
   if (page == MAP_FAILED) return false;
   if (page->magic != MAGIC || page->layout != LAYOUT) return false;
+  if (is_attached && page->owner != control->owner && owner_lives()) {
+    page->busy_with = control->owner;  // the faults of another mavfi would end without a word
+    munmap(page, sizeof *page);
+    return false;
+  }
+  is_attached = true;
   if (owner_fd >= 0) close(owner_fd);
   owner_fd = (int)syscall(SYS_pidfd_open, page->owner, 0);
   if (owner_fd >= 0) fcntl(owner_fd, F_SETFD, FD_CLOEXEC);
@@ -815,6 +830,7 @@ void mavfi_attach(const char *page_path) {
 void mavfi_detach(void);
 void mavfi_detach(void) {
   if (atomic_load(&waiting)) release_all();
+  is_attached = is_preloaded && control && owner_lives();
   while (redirected_count) {
     redirected_count--;
     write_slot(redirected[redirected_count].slot, redirected[redirected_count].original);
