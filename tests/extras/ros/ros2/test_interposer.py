@@ -336,3 +336,14 @@ def test_messages_handed_over_as_pointers_are_changed_once(relay, page):
     page.arm([InterposedFault("/out/Twist", "", Change(Operation("drop"), When()))])
     assert len(relay.relayed("Twist", relay.messages.data["Twist"], 1)) == 1
     assert "handed over as a pointer" in page.reports()[-1].text
+
+
+@pytest.mark.parametrize("relay", ["c++ preloaded --adapt"], indirect=True, scope="module")
+def test_an_object_that_may_be_no_message_is_left_alone(relay, page):
+    data = relay.messages.data["Twist"]
+    page.arm([InterposedFault("/out/Twist", "linear.x", Change(Operation("set", 5.0), When(times=0)))])
+    assert relay.relayed("Twist", data, 3) == [data] * 3
+    reports = until(lambda: page.reports())
+    assert {report.kind for report in reports} == {"refused"}
+    assert "a pointer to what may be no ROS message" in reports[0].text
+    assert page.messages_changed(0) == 0

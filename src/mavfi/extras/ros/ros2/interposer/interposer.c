@@ -305,9 +305,25 @@ static void renew_held(uint32_t generation) {
   }
 }
 
+/* Whether the function that a call came from is a member of rclcpp's publisher of a ROS message.  With a type adapter, it
+ * is one of a class of the user's own, and its object is not laid out as the message. */
+static bool publishes(const void *caller, type_t type) {
+  Dl_info function;
+  if (!dladdr(caller, &function) || !function.dli_sname) return false;
+  // The namespace is "package::msg"; the symbol begins with rclcpp::Publisher<package::msg::Name_<std::allocator<void>>.
+  const char *namespace = type.members->space;
+  int length = (int)strcspn(namespace, ":");
+  char expected[512];
+  snprintf(expected, sizeof expected, "_ZN6rclcpp9PublisherIN%d%.*s3msg%zu%s_ISaIvEE", length, length, namespace,
+           strlen(type.members->name) + 1, type.members->name);
+  return !strncmp(function.dli_sname, expected, strlen(expected));
+}
+
 /* Applies all faults in numbers of a message; the faults in the whole message are left to the caller.
- * `in_place`: the message is the receiver's own. */
-static verdict_t examine(int side, const entity_t *entity, int part, const void *message, bool in_place) {
+ * `in_place`: the message is the receiver's own.
+ * `announcer`: code of rclcpp that announced an object, which may be no ROS message; NULL: it is one. */
+static verdict_t examine(int side, const entity_t *entity, int part, const void *message, bool in_place,
+                         const void *announcer) {
   verdict_t verdict = {.fault = -1};
   uint32_t generation = atomic_load(&control->generation);
   uint32_t count = atomic_load(&control->armed);
@@ -320,6 +336,10 @@ static verdict_t examine(int side, const entity_t *entity, int part, const void 
     number_t number;
     bool is_typed = types_of(entity, fault, &verdict.known, why);
     type_t type = verdict.known.types[part];
+    if (is_typed && announcer && !publishes(announcer, type)) {
+      is_typed = false;
+      snprintf(why, TEXT, "handed over as a pointer to what may be no ROS message: link with -rdynamic, or as a component");
+    }
 
     // Is it due?  The condition sees the message as it is.
     double condition = __builtin_nan("");
@@ -484,7 +504,7 @@ int rmw_publish(const entity_t *publisher, const void *message, void *allocation
     release_held(publisher);
     return sent;
   }
-  verdict_t verdict = examine(PUBLISH, publisher, 0, message, false);
+  verdict_t verdict = examine(PUBLISH, publisher, 0, message, false, NULL);
   int result = publish_as(&verdict, publisher, verdict.copy ? verdict.copy : message, allocation);
   bool is_held = verdict.fault >= 0 && control->faults[verdict.fault].operation == REORDER;
   if (!is_held) release_held(publisher);
@@ -535,7 +555,7 @@ int rmw_publish_loaned_message(const entity_t *publisher, void *message, void *a
 int rmw_publish_loaned_message(const entity_t *publisher, void *message, void *allocation) {
   NEXT(rmw_publish_loaned_message);
   if (is_armed()) {  // it belongs to the middleware from now on
-    verdict_t verdict = examine(PUBLISH, publisher, 0, message, true);
+    verdict_t verdict = examine(PUBLISH, publisher, 0, message, true, NULL);
     if (verdict.fault >= 0) refuse((uint32_t)verdict.fault, verdict.number, "a loaned message: only its numbers change");
   }
   return next(publisher, message, allocation);
@@ -552,7 +572,7 @@ void ros_trace_rclcpp_intra_publish(const void *rcl_publisher, const void *messa
   }
   const entity_t *publisher = is_armed() && rmw_of ? rmw_of(rcl_publisher) : NULL;
   if (publisher) {
-    verdict_t verdict = examine(PUBLISH, publisher, 0, message, true);
+    verdict_t verdict = examine(PUBLISH, publisher, 0, message, true, __builtin_return_address(0));
     if (verdict.fault >= 0) {
       refuse((uint32_t)verdict.fault, verdict.number, "handed over as a pointer: only its numbers change");
     }
@@ -564,7 +584,7 @@ void ros_trace_rclcpp_intra_publish(const void *rcl_publisher, const void *messa
 /* ---- taking: the message is in the reader's own memory -------------------------------------------------------------- */
 static void examine_taken(int side, const entity_t *entity, int part, void *message, bool *taken) {
   if (!*taken || !is_armed()) return;
-  verdict_t verdict = examine(side, entity, part, message, true);
+  verdict_t verdict = examine(side, entity, part, message, true, NULL);
   if (verdict.fault < 0) return;
   int index = verdict.fault;
   bool is_done = true;
@@ -636,7 +656,7 @@ int rmw_take_sequence(const entity_t *subscription, size_t count, sequence_t *me
   int name parameters {                                                                                             \
     NEXT(name);                                                                                                     \
     if (!is_armed()) return next original;                                                                          \
-    verdict_t verdict = examine(side, s, part, m, false);                                                           \
+    verdict_t verdict = examine(side, s, part, m, false, NULL);                                                           \
     const void *sent = verdict.copy ? verdict.copy : m;                                                             \
     bool is_dropped = verdict.fault >= 0 && control->faults[verdict.fault].operation == DROP;                       \
     if (verdict.fault >= 0 && !is_dropped) refuse((uint32_t)verdict.fault, verdict.number, "a call: only its numbers change, or drop"); \
