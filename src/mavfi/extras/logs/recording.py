@@ -265,7 +265,7 @@ def _is_wrapped(values: np.ndarray) -> np.ndarray:
     """Which values of a number are rare ones at the end of an unsigned range, far from all others. Shape (n,)."""
     is_finite = np.isfinite(values)
     for limit in _UNSIGNED_RANGES:
-        is_high = is_finite & (values >= limit - _NEAR * limit) & (values < limit)
+        is_high: np.ndarray = is_finite & (values >= limit - _NEAR * limit) & (values < limit)
         is_low = is_finite & (values >= 0.0) & (values <= _NEAR * limit)
         is_whole = values[is_high] == np.floor(values[is_high])
         if 0 < is_high.sum() <= _RARE * len(values) and is_whole.all() and (is_high | is_low | ~is_finite).all():
