@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 from mavfi.dropped import dropped_name
 from mavfi.errors import BadInputError, MavfiError, hint, machine_failure, missing_package, not_known
+from mavfi.output import divert_prints
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
 """Allowed names, separated by spaces; an environment variable, inherited by child processes."""
@@ -125,6 +126,8 @@ def extensions(group: str) -> dict[str, Any]:
     """
     loaded = {}
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
+        if _package(point.module) != _OWN:
+            divert_prints()
         try:
             loaded[point.name] = point.load()
         except Exception as error:  # noqa: BLE001 - whatever another package raises while it is imported
@@ -205,6 +208,8 @@ def load_object(  # noqa: ANN401 - a user's own
             raise BadInputError(dropped_name(f"{what}s", name) or unknown)
         address = names[name]
     module, _, attribute = address.partition(":")
+    if _package(module) != _OWN:
+        divert_prints()
     try:
         imported = importlib.import_module(module)
         loaded = getattr(imported, attribute, None)

@@ -128,7 +128,7 @@ def row_of(
     if record.kernel is not None:
         columns |= {"kernel_effect": record.kernel.effect, "kernel_effect_detail": record.kernel.detail}
     if record.end is End.UNKNOWN:
-        columns["reason"] = reason_of(run.note)
+        columns["reason"] = reason_of(run.note) or record.error
     return columns
 
 

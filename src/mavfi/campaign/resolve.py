@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavfi.campaign.config import Campaign
+from mavfi.errors import BadInputError
 from mavfi.levels.level import Sampler
 from mavfi.mission import MissionSpec, Scenario
 
@@ -85,8 +86,11 @@ class ResolvedCampaign:
         """With its scenarios and models; a host that trains detectors itself has no models.
 
         Raises:
-            BadInputError: A name is unknown, options are incompatible, or a model is absent or does not match.
+            BadInputError: A name is unknown, options are incompatible, a model is absent or does not match, or a
+                detector watches a state that a mission never has.
         """
+        from mavfi.detectors.detector import blind_spots
+
         campaign = self.with_scenarios()
         if self.host.trains:
             return campaign
@@ -98,7 +102,11 @@ class ResolvedCampaign:
                 key = arm.name
                 if self.config.parts:
                     key = f"{environment}/{arm.name}"
-                models[key] = self.detector(arm, campaign.scenarios[environment, arm.name]).model
+                scenario = campaign.scenarios[environment, arm.name]
+                detector, models[key] = self.detector(arm, scenario)
+                blind = blind_spots(detector, scenario.localization.kind)
+                if blind:
+                    raise BadInputError(f"arm {arm.name!r}: {blind}")
         return replace(campaign, models=models)
 
     def detector(self, arm: Arm, scenario: Scenario) -> "Loaded":

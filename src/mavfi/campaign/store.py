@@ -653,8 +653,10 @@ class Store:
 
     def unknown(self) -> Counter[str]:
         """Number of completed runs with status unknown, by reason."""
-        notes = self._connection.execute("SELECT note FROM runs WHERE json_extract(record, '$.end') = 'unknown'")
-        return Counter(reason_of(note) for (note,) in notes)
+        stored = self._connection.execute(
+            "SELECT note, json_extract(record, '$.error') FROM runs WHERE json_extract(record, '$.end') = 'unknown'"
+        )
+        return Counter(reason_of(note) or error or "" for note, error in stored)
 
     def differing_null_runs(self) -> list[str]:
         """Ids of the null runs that differ from the golden run of their arm, in the flight or the number of alarms."""

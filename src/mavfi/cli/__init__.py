@@ -21,8 +21,10 @@ _COLLECT_AFTER = 50_000
 def run(arguments: Sequence[str]) -> int:
     """Run one command; see `mavfi.cli.commands.run`."""
     from mavfi.cli import commands
+    from mavfi.output import answering
 
-    return commands.run(arguments)
+    with answering():
+        return commands.run(arguments)
 
 
 def _tell(message: Warning | str, *_: object) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.cli import completion, options
-from mavfi.cli.console import check_name, check_seed, check_writable, console, write_json
+from mavfi.cli.console import answer, check_name, check_seed, check_writable, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.files import is_file
@@ -393,7 +393,7 @@ def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
         partial = not progress.complete or progress.shard != WHOLE
         write_json({"digest": text, "partial": partial, "done": progress.done, "total": progress.total})
         return
-    typer.echo(text)
+    answer(text)
     if progress.shard != WHOLE:
         console(error=True).print(f"partial: shard {progress.shard} of the campaign")
     if not progress.complete:

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from mavfi.errors import BadInputError, not_known, writing
 from mavfi.files import exists
+from mavfi.output import answer_stream
 from mavfi.report.console import WIDE as WIDE
 from mavfi.report.console import console as console
 from mavfi.report.numbers import counted as counted
@@ -53,11 +54,16 @@ def say_written(*paths: Path | None) -> None:
             console().print(Text.assemble(("wrote ", "dim"), str(path)))
 
 
+def answer(text: str, end: str = "\n") -> None:
+    """Write text to stdout as it is."""
+    typer.echo(text + end, file=answer_stream(), nl=False)
+
+
 def write_json(data: Any) -> None:
     """Write plain data to stdout as JSON; infinities and NaN become text."""
     from mavfi.record import plain
 
-    typer.echo(json.dumps(plain(data), indent=2, allow_nan=False))
+    answer(json.dumps(plain(data), indent=2, allow_nan=False))
 
 
 def check_number(option: str, value: float | None, low: float, high: float) -> None:

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from mavfi.campaign.executors.local import MOST_WORKERS
 from mavfi.cli import options
-from mavfi.cli.console import PAGES, check_file, check_number, console, counted, write_json
+from mavfi.cli.console import PAGES, answer, check_file, check_number, console, counted, write_json
 from mavfi.cli.stopping import EXIT_STOPPED, stoppable
 from mavfi.errors import BadInputError, write_text
 from mavfi.files import check_folder, make_folder
@@ -237,11 +237,11 @@ def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> No
         views = applicable(runs)
         width = max(len(view.name) for view in views)
         for view in views:
-            typer.echo(f"{view.name:{width}}  {view.title_of(runs)}")
+            answer(f"{view.name:{width}}  {view.title_of(runs)}")
         return
     table = table_asked_for(runs, name)
     if as_csv:
-        typer.echo(table.to_csv(), nl=False)
+        answer(table.to_csv(), end="")
     elif as_json:
         write_json(table.to_json())
     else:

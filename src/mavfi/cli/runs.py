@@ -10,7 +10,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import PAGES, PICTURES, check_file, console, say_written, write_json
+from mavfi.cli.console import PAGES, PICTURES, answer, check_file, console, say_written, write_json
 from mavfi.errors import MavfiError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def runs(
 
     table = listing(Runs.read(directory), failed=failed, in_words=not as_csv and not as_json)
     if as_csv:
-        typer.echo(table.to_csv(), nl=False)
+        answer(table.to_csv(), end="")
     elif as_json:
         write_json(table.to_json())
     else:

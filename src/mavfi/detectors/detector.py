@@ -244,6 +244,24 @@ def check_states(detector: Detector) -> None:
             raise BadInputError(f"{source}: {name!r}: no such state{hint(name, STATES)}; `mavfi states` lists all")
 
 
+def blind_spots(detector: Detector, localization: str) -> str:
+    """Why a detector is not asked about states that it lists, as this localization publishes none; "" = it is.
+
+    One that also lists states of this localization alone is made for either.
+    """
+    listed = [STATES[name] for name in sorted(detector.states or ())]
+    if any(state.only_with == localization for state in listed):
+        return ""
+    absent = [state for state in listed if not state.exists_with(localization)]
+    if not absent:
+        return ""
+    names = ", ".join(state.name for state in absent)
+    return (
+        f"detector {class_of(detector)}: states: {names}: never published with localization {localization!r}; "
+        f"allowed: localization {absent[0].only_with!r}, or other states"
+    )
+
+
 def checked_alarm(detector: Any, alarm: Any) -> Alarm:  # noqa: ANN401 - a user's own
     """The alarm that a detector's `check` returned.
 

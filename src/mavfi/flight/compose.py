@@ -25,7 +25,7 @@ from mavfi.config import (
     parse,
     shipped,
 )
-from mavfi.detectors.detector import Detector, check_states
+from mavfi.detectors.detector import Detector, blind_spots, check_states
 from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.registry import Loaded, load_detector, mission_keys
 from mavfi.errors import BadInputError
@@ -443,14 +443,26 @@ def prepare(
     scenario = resolve(mission)
     recovery = RecoveryPolicy.of(mission)
     if not isinstance(detector, str):
+        _warn_of_blind_spots(detector, scenario)
         return ArmSetup(scenario, lambda: detector, recovery, label=type(detector).__name__)
     loaded, model = detector_for(scenario, detector, profile, models, mission.trained_for, options)
+    _warn_of_blind_spots(loaded, scenario)
     label = detector
     if model:
         label += f" ({profile})"
     if model and mission.trained_for:
         label += f", trained for {mission.trained_for}"
     return ArmSetup(scenario, lambda: loaded, recovery, label=label, model=model)
+
+
+def _warn_of_blind_spots(detector: Detector, scenario: Scenario) -> None:
+    """Warn of states that a detector lists and this mission never has: "no alarm" would say nothing of them."""
+    text = ""
+    if isinstance(detector, Detector):  # what is none is refused later
+        check_states(detector)
+        text = blind_spots(detector, scenario.localization.kind)
+    if text:
+        _warn_once(text)
 
 
 def with_keys_of(spec: MissionSpec, detector: str | Detector) -> MissionSpec:

@@ -5,6 +5,8 @@ import sys
 
 from rich.console import Console
 
+from mavfi.output import answer_stream
+
 WIDE = 140
 """Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
 
@@ -15,12 +17,14 @@ class _Console(Console):
     def on_broken_pipe(self) -> None:
         """What is printed from now on, nobody reads."""
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
+        os.dup2(nowhere, answer_stream().fileno())
 
 
 def console(*, error: bool = False) -> Console:
     """A console for text; progress goes to the one on stderr, so that stdout can be piped."""
-    stream = sys.stderr if error else sys.stdout
+    stream = answer_stream()
+    if error:
+        stream = sys.stderr
     if stream.isatty() or "COLUMNS" in os.environ:
-        return _Console(stderr=error, highlight=False)
-    return _Console(stderr=error, highlight=False, width=WIDE)
+        return _Console(file=stream, stderr=error, highlight=False)
+    return _Console(file=stream, stderr=error, highlight=False, width=WIDE)

@@ -331,10 +331,12 @@ def site_motors(path: Path) -> list[SiteMotor]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticGeom:
-    """A geom of a scene that stands still and that others touch.
+    """A geom of a scene that stands still.
 
     Attributes:
         name: Its name, or that of its body, for messages.
+        body: Number of its body; 0 = the world itself.
+        collides: Whether others touch it.
         kind: Name of its type in lower case: plane, box, sphere, capsule, ellipsoid, cylinder, mesh, hfield, sdf.
         size: As in MJCF: half edges, radius and half length (m). Shape (3,).
         matrix: To world. Shape (3, 3).
@@ -343,6 +345,8 @@ class StaticGeom:
     """
 
     name: str
+    body: int
+    collides: bool
     kind: str
     size: np.ndarray
     matrix: np.ndarray
@@ -351,7 +355,7 @@ class StaticGeom:
 
 
 def static_geoms(path: Path) -> list[StaticGeom]:
-    """Geoms of an MJCF file that no joint moves, and that collide.
+    """Geoms of an MJCF file that no joint moves.
 
     Raises:
         BadInputError: It cannot be read or compiled.
@@ -360,12 +364,14 @@ def static_geoms(path: Path) -> list[StaticGeom]:
     geoms = []
     for geom in range(model.ngeom):
         body = model.geom_bodyid[geom]
-        if model.body_weldid[body] != 0 or not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+        if model.body_weldid[body] != 0:
             continue
         name = model.geom(geom).name or model.body(body).name
         geoms.append(
             StaticGeom(
                 name,
+                int(body),
+                bool(model.geom_contype[geom] or model.geom_conaffinity[geom]),
                 mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower(),
                 model.geom_size[geom].copy(),
                 data.geom_xmat[geom].reshape(3, 3).copy(),

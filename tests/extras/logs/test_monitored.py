@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.cli.commands import run
 from mavfi.extras.logs.recording import exposure_s, longest_gap_us
-from mavfi.extras.logs.selection import COUNTS
+from mavfi.extras.logs.selection import CONSTANT, COUNTS
 
 TIME = np.arange(0.0, 30.0, 0.02)
 NUMBER = np.arange(len(TIME), dtype=float)
@@ -30,6 +30,32 @@ def table(tmp_path):
 def judged(capsys, *arguments):
     assert run(["watch", *arguments, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
+
+
+def test_a_field_that_never_changes_or_is_never_valid_is_named_and_not_monitored(table, capsys):
+    signal = np.sin(TIME) + 0.01 * np.cos(7 * NUMBER)
+    columns = {"time": TIME, "x": signal, "idle": 0 * TIME + 900.0, "lost": TIME * np.nan}
+    logs = [table("a.csv", columns), table("b.csv", columns | {"idle": 900.0 + (TIME > 20.0)})]
+    result = judged(capsys, logs[1], "--train", logs[0])
+    assert result["fields"] == {"row": ["x"]} and result["alarms_per_hour"]["events"] == 0
+    reasons = {item["field"]: item["reason"] for item in result["not_monitored"]}
+    assert reasons == {"idle": CONSTANT, "lost": "never finite in a.csv"}
+    result = judged(capsys, logs[1], "--train", logs[0], "--fields", "x,idle")
+    assert result["fields"] == {"row": ["x", "idle"]} and result["alarms_per_hour"]["events"] > 0
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_a_wrapped_unsigned_number_is_named_and_not_trained_on(table, capsys, bits):
+    """Trained on it, the largest normal value would be that of the whole range."""
+    stick = 1500.0 + NUMBER % 40
+    wrapped = np.where(NUMBER == 300, 2.0**bits - 3, stick)
+    beyond = np.where(NUMBER == 900, 30_000.0, stick)
+    logs = [table("a.csv", {"time": TIME, "stick": wrapped}), table("b.csv", {"time": TIME, "stick": beyond})]
+    assert run(["watch", logs[1], "--train", logs[0], "--json"]) == 0
+    captured = capsys.readouterr()
+    line = "a.csv: not trained on 1 of 1500 messages of row: stick is at the end of an unsigned range, first "
+    assert f"{line}{2**bits - 3} at" in captured.err
+    assert json.loads(captured.out)["alarms_per_hour"]["events"] > 0
 
 
 def turn(centre, phase, period, low):

@@ -199,6 +199,11 @@ def test_columns_of_time_that_other_programs_write(tmp_path, head, cells, second
         (5, 12_000, 1000, False),
         (20, 200, 1000, True),
         (5000, 400, 1, True),
+        (2, 20_000, 1000, True),  # 500 Hz for 40 s, in ms, us and ns: not some seconds a row for half a day
+        (2000, 20_000, 1, True),
+        (2_000_000, 20_000, 0.001, True),
+        (1, 3600, 1_000_000, False),  # an hour at 1 Hz
+        (1000, 3600, 1000, False),
     ],
 )
 def test_whole_times_without_a_unit_are_those_of_a_flight(tmp_path, period, rows, unit_us, is_doubtful):
@@ -207,8 +212,27 @@ def test_whole_times_without_a_unit_are_those_of_a_flight(tmp_path, period, rows
     recording = read_recording(path)
     assert recording.messages[1].time_us == period * unit_us
     assert (
-        any("if wrong, put the unit in its name, like time_ms" in notice for notice in recording.notices) == is_doubtful
+        any("if wrong, put the unit in its name, like time_" in notice for notice in recording.notices) == is_doubtful
     )
+
+
+def test_rows_that_go_back_in_time_and_gaps_are_named(tmp_path):
+    path = tmp_path / "x.csv"
+    times = [517, 502, 489, *range(33_900_000, 73_900_000, 2000)]
+    path.write_text("loop,time,x\n" + "".join(f"{i},{time},{i % 7}\n" for i, time in enumerate(times)))
+    recording = read_recording(path)
+    assert recording.messages[0].time_us == 517 and recording.messages[-1].time_us == 73_898_000
+    assert recording.notices == [
+        "x.csv: time: taken for us (500 rows/s, 0.7 min); if wrong, put the unit in its name, like time_ms",
+        "x.csv: time goes back in 2 of 20003 rows, first in line 3",
+        "x.csv: gaps without rows, not counted as flight: 1; the longest 33.9 s from 0.000 s",
+    ]
+
+
+@pytest.mark.parametrize("name", ["log.bbl", "LOG0001.BFL"])
+def test_raw_logs_of_a_flight_controller_name_their_decoder(tmp_path, name):
+    with pytest.raises(BadInputError, match="allowed: the .csv that its decoder blackbox_decode writes"):
+        read_recording(tmp_path / name)
 
 
 def test_cells_without_a_number_are_nan_and_a_cut_row_is_left_out(tmp_path):

@@ -98,6 +98,36 @@ def test_what_is_no_box_or_not_there_is_named_and_can_be_left_out(tmp_path):
         worlds.sdf_world(0, path)
 
 
+VISUAL_WALL = sdf_box("wall", "4 0 1.5 0 0 0", "0.3 8 4").replace("collision", "visual")
+FLOOR_TO_SEE = GROUND.replace("collision", "visual").replace("floor", "carpet")
+
+
+def test_what_is_only_to_look_at_is_named_and_can_be_an_obstacle(tmp_path):
+    path = sdf_file(tmp_path, VISUAL_WALL, FLOOR_TO_SEE, sdf_box("pillar", "6 3 1.5 0 0 0", "1 1 4"))
+    with pytest.warns(UserWarning, match=r"obstacles: 1; only to look at, and flown through: wall \(.*visual: true"):
+        worlds.sdf_environment(tmp_path / "walls.sdf")
+    assert len(worlds.sdf_world(0, path, START, GOAL).lower) == 1
+    world = worlds.sdf_world(0, path, START, GOAL, visual=True)
+    np.testing.assert_allclose(world.lower, [(5.5, 2.5, 0.0), (3.85, -4.0, 0.0)], atol=1e-9)
+    with pytest.raises(BadInputError, match="parameter 'visual': 1; allowed: true, false"):
+        worlds.sdf_world(0, path, START, GOAL, visual=1)
+
+
+def test_geoms_to_look_at_count_unless_their_body_has_others_that_collide(tmp_path):
+    no_contact = 'contype="0" conaffinity="0"'
+    (tmp_path / "scene.xml").write_text(
+        f"""<mujoco><worldbody><geom name="floor" type="plane" size="9 9 1" {no_contact}/>
+        <body name="wall" pos="4 0 2"><geom type="box" size="0.15 4 2" {no_contact}/></body>
+        <body name="crate" pos="9 0 2"><geom type="box" size="1 1 1"/><geom type="sphere" size="1" {no_contact}/></body>
+        </worldbody></mujoco>""",
+        encoding="utf-8",
+    )
+    with pytest.warns(UserWarning, match=r"obstacles: 1; only to look at, and flown through: wall \("):
+        worlds.xml_environment(tmp_path / "scene.xml")
+    assert len(worlds.mjcf_world(0, str(tmp_path / "scene.xml"), START, GOAL).lower) == 1
+    assert len(worlds.mjcf_world(0, str(tmp_path / "scene.xml"), START, GOAL, visual=True).lower) == 2
+
+
 SCENE = """<mujoco><compiler angle="degree"/><worldbody>
   <geom type="plane" size="50 50 1"/>
   <body pos="6 1 1" euler="0 0 30"><geom type="box" size="0.2 2 1"/></body>

@@ -317,7 +317,7 @@ def _judge(
         fault: Number that tells of a known fault; "" = none.
         flips: Number of flips in each LOG, and their seed.
     """
-    from mavfi.extras.logs.recording import read_recording
+    from mavfi.extras.logs.recording import read_recording, without_wrapped
     from mavfi.extras.logs.selection import cut_text, select
     from mavfi.extras.logs.watch import LogWatch
 
@@ -327,6 +327,17 @@ def _judge(
     recordings = _flown(recordings)
     if train:
         normal = _flown(normal)
+    # What each detector is trained on: the same recordings, or the first part of the judged one.
+    trainings = [normal]
+    rests = recordings
+    if split is not None:
+        halves = [recording.split(split) for recording in recordings]
+        trainings = [[first.normal] for first, _ in halves]
+        rests = [rest for _, rest in halves]
+    for training in trainings:
+        for index, recording in enumerate(training):
+            training[index], wrapped = without_wrapped(recording)
+            notices += wrapped
     for text in [cut_text([*recordings, *normal]), *dict.fromkeys(notices)]:
         if text:
             console(error=True).print(text, markup=False, soft_wrap=True)
@@ -337,9 +348,8 @@ def _judge(
         return [log_watch] * len(recordings), recordings, judged
     log_watches = []
     judged = []
-    for recording in recordings:
-        first, rest = recording.split(split)
-        log_watch = LogWatch(*detector_and_profile, select([first.normal], [rest], wanted), [first.normal], flips[1])
+    for training, rest in zip(trainings, rests, strict=True):
+        log_watch = LogWatch(*detector_and_profile, select(training, [rest], wanted), training, flips[1])
         log_watches.append(log_watch)
         judged.append(log_watch.judge(rest, *flips))
     return log_watches, recordings, judged

@@ -226,6 +226,53 @@ def _columns_of(
     return values, np.ones(values.shape, np.bool_)
 
 
+# ---- wrapped numbers -------------------------------------------------------------------------------------------------
+_UNSIGNED_RANGES = (2.0**16, 2.0**32, 2.0**64)
+_NEAR = 1.0 / 16.0
+"""Wrapped values are within this share of the end of the range, all others within it of the beginning."""
+_RARE = 0.01
+"""Largest share of wrapped values; where they are frequent, they are normal."""
+
+
+def without_wrapped(recording: LogRecording) -> tuple[LogRecording, list[str]]:
+    """A recording of the training without messages in which an unsigned number has passed below 0, and which they are.
+
+    A single value at the end of the range would be the largest of all normal values, and hide every smaller error.
+    """
+    wrapped_ids: set[int] = set()
+    notices = []
+    for topic, messages in recording.by_topic().items():
+        layout = messages[0].layout
+        if not isinstance(layout, RecordLayout):
+            continue
+        names = layout.numbers(b"", 0)
+        values, _ = values_of(messages, names)
+        for column, name in enumerate(names):
+            rows = np.flatnonzero(_is_wrapped(values[:, column]))
+            if not len(rows):
+                continue
+            wrapped_ids.update(id(messages[row]) for row in rows)
+            first = messages[rows[0]]
+            notices.append(
+                f"{recording.name}: not trained on {len(rows)} of {len(messages)} messages of {topic}: {name} is at "
+                f"the end of an unsigned range, first {values[rows[0], column]:.0f} at {1e-6 * first.time_us:.3f} s"
+            )
+    kept = [message for message in recording.messages if id(message) not in wrapped_ids]
+    return replace(recording, messages=kept), notices
+
+
+def _is_wrapped(values: np.ndarray) -> np.ndarray:
+    """Which values of a number are rare ones at the end of an unsigned range, far from all others. Shape (n,)."""
+    is_finite = np.isfinite(values)
+    for limit in _UNSIGNED_RANGES:
+        is_high: np.ndarray = is_finite & (values >= limit - _NEAR * limit) & (values < limit)
+        is_low = is_finite & (values >= 0.0) & (values <= _NEAR * limit)
+        is_whole = values[is_high] == np.floor(values[is_high])
+        if 0 < is_high.sum() <= _RARE * len(values) and is_whole.all() and (is_high | is_low | ~is_finite).all():
+            return is_high
+    return np.zeros(len(values), np.bool_)
+
+
 # ---- time ------------------------------------------------------------------------------------------------------------
 def longest_gap_us(times_us: Sequence[int] | np.ndarray) -> int:
     """Longest time without a message that is still flight (us), from the rate of the log.

@@ -24,6 +24,7 @@ from mavfi.extras.shared.foreign import (
 from mavfi.extras.shared.log_readers import LONGEST_LIST, LoggedMessage
 
 COUNTS = "counts messages or time (see --kinds)"
+CONSTANT = "constant in the training"
 _NOT_RECOMMENDED = "not recommended (see --fields)"
 _NOT_WANTED = "not in --fields"
 _NOT_MAPPED = "not in the mapping"
@@ -228,17 +229,11 @@ class _Selector:
                 if not present[:, column].all():
                     reasons.setdefault(name, f"absent in messages of {recording}")
                     continue
-                # Not finite at the beginning: the value is not yet known, as before an estimator has converged.
-                is_finite = np.isfinite(values[:, column])
-                begin = int(np.argmax(is_finite))
-                if begin > _LATEST_BEGIN * len(messages):
-                    begin = 0
-                if is_finite[begin:].all():
-                    if begin:
-                        self.late.setdefault(topic, set()).add(name)
-                    continue
-                first = messages[begin + int(np.argmin(is_finite[begin:]))]
-                reasons.setdefault(name, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s")
+                begin, reason = _first_valid(values[:, column], messages, recording)
+                if reason:
+                    reasons.setdefault(name, reason)
+                elif begin:
+                    self.late.setdefault(topic, set()).add(name)
         for topics in self._judged.values():
             for name in names:
                 try:
@@ -247,6 +242,16 @@ class _Selector:
                 except BadInputError:
                     reasons.setdefault(name, "not in the recordings to be judged")
         return reasons
+
+    def _constant(self, topic: str, names: Sequence[str]) -> list[str]:
+        """Fields that do not change in any recording of the training, such as outputs to which nothing is connected."""
+        varies = np.zeros(len(names), np.bool_)
+        for _, messages in self._normal[topic]:
+            values, _ = values_of(messages, names)
+            for column in range(len(names)):
+                finite = values[np.isfinite(values[:, column]), column]
+                varies[column] |= bool((finite != finite[:1]).any())
+        return [name for name, is_signal in zip(names, varies, strict=True) if not is_signal]
 
     def _candidates(self, topic: str, numbers: Sequence[str]) -> set[str]:
         """Numbers of a topic that are wanted, or mapped; by default those that are recommended."""
@@ -278,9 +283,12 @@ class _Selector:
         reasons |= {name: "tells of the fault" for name in numbers if f"{topic}:{name}" in self._faults}
         usable = [name for name in numbers if name in near and name not in reasons]
         kinds = self._kinds_of(topic, usable)
-        # Counters and clocks are no signal, unless the user has named them; rules and custom detectors may read them.
+        # Counters, clocks and what never changes are no signal, unless the user has named them; rules and custom
+        # detectors may read them.
         if self._wanted.mapping is None and not self._wanted.fields:
             reasons |= {name: COUNTS for name in usable if kinds.get(name) == COUNTER}
+            constant = self._constant(topic, [name for name in usable if kinds.get(name) != QUATERNION])
+            reasons |= dict.fromkeys(constant, CONSTANT)
         # The sign of a quaternion follows from all of its components: none is monitored alone.
         components = [name for name in usable if kinds.get(name) == QUATERNION]
         for start in range(0, len(components), 4):
@@ -310,6 +318,21 @@ class _Selector:
             tables.append(Numbers(others, values_of(messages, others)[0], times_us))
         units: Mapping[str, str] = getattr(self._normal[topic][0][1][0].layout, "units", {})
         return recognise(tables, units) | declared
+
+
+def _first_valid(values: np.ndarray, messages: Sequence[LoggedMessage], recording: str) -> tuple[int, str]:
+    """Index from which on a number of a recording is finite, and why it cannot be monitored ("" = it can)."""
+    is_finite = np.isfinite(values)
+    if not is_finite.any():
+        return 0, f"never finite in {recording}"
+    # Not finite at the beginning: the value is not yet known, as before an estimator has converged.
+    begin = int(np.argmax(is_finite))
+    if begin > _LATEST_BEGIN * len(messages):
+        begin = 0
+    if is_finite[begin:].all():
+        return begin, ""
+    first = messages[begin + int(np.argmin(is_finite[begin:]))]
+    return begin, f"not finite in {recording}, first at {1e-6 * first.time_us:.2f} s"
 
 
 def _matches(pattern: str, field: str) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mavfi.errors import BadInputError
+from mavfi.extras.logs.recording import longest_gap_us
 from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics
 from mavfi.files import read_file
 
@@ -45,6 +46,10 @@ _SLOWEST_PERIOD_S = 60.0
 """Longest usual time between two rows of any log whose times are in seconds (s)."""
 _SHORTEST_FLIGHT_S = 10.0
 """A log in milliseconds that is shorter than this may be a slow one in seconds (s)."""
+_LONGEST_FLIGHT_S = 4 * 3600.0
+"""A longer log is read in the next smaller unit, if it is long enough for a flight in that one, too (s)."""
+_SHORTEST_PERIOD_S = 1e-4
+"""Shortest usual time between two rows (s): flight controllers log at up to 8 kHz."""
 _FRACTIONS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
 """Names of columns with the nanoseconds of a time whose seconds are another column."""
 _SEPARATORS = (",", ";", "\t", "|")
@@ -86,6 +91,7 @@ class CsvReader:
         if fraction is not None:
             fractions = self._times(f"{names[fraction]} [ns]", [line[fraction] for line in lines])
             times = [whole_us + part_us for whole_us, part_us in zip(times, fractions, strict=True)]
+        self._guesses += _irregularities(times)
         source_of_row = _sources(names, lines)
         check_topics(self._path, topics, [TOPIC, *source_of_row])
         # All other numeric columns, row by row.
@@ -152,7 +158,16 @@ class CsvReader:
             if not unit:
                 unit, is_doubtful = _guess_unit(numbers)
                 if is_doubtful:
-                    self._guesses = [f"{name}: taken for {unit}; if wrong, put the unit in its name, like {name}_ms"]
+                    step = float(np.median(_forward_steps(numbers)))
+                    period_s = 1e-6 * _MICROSECONDS[unit] * step
+                    other = "ms"
+                    if unit == "ms":
+                        other = "s"
+                    self._guesses = [
+                        f"{name}: taken for {unit} ({1.0 / period_s:.3g} rows/s, "
+                        f"{period_s * (len(numbers) - 1) / 60.0:.1f} min); if wrong, put the unit in its name, like "
+                        f"{name}_{other}"
+                    ]
             return [_microseconds(number, unit) for number in numbers]
         except (ValueError, OverflowError) as error:
             raise BadInputError(f"{self._path}: column {name}: is not a time ({error})") from None
@@ -239,25 +254,58 @@ def _number(cell: str) -> int | float:
     return float(cell)
 
 
+def _forward_steps(numbers: Sequence[int | float]) -> np.ndarray:
+    """Differences of times that go forward."""
+    steps = np.diff(np.array(numbers, np.float64))
+    return steps[steps > 0.0]
+
+
+def _irregularities(times_us: Sequence[int]) -> list[str]:
+    """Where times go back, and where rows are missing."""
+    steps = np.diff(np.array(times_us, np.int64))
+    texts = []
+    backward = np.flatnonzero(steps < 0)
+    if len(backward):
+        # The first row is in line 2.
+        first_line = int(backward[0]) + 3
+        texts.append(f"time goes back in {len(backward)} of {len(times_us)} rows, first in line {first_line}")
+    gap_count = int((steps > longest_gap_us(times_us)).sum())
+    if gap_count:
+        longest = int(np.argmax(steps))
+        texts.append(
+            f"gaps without rows, not counted as flight: {gap_count}; the longest {1e-6 * steps[longest]:.1f} s from "
+            f"{1e-6 * times_us[longest]:.3f} s"
+        )
+    return texts
+
+
 def _guess_unit(numbers: Sequence[int | float]) -> tuple[str, bool]:
     """Unit of a column of times, by the size of dates or the time between rows, and whether it is doubtful."""
     first = numbers[0]
     for smallest, unit in _MAGNITUDES:
         if first >= smallest:
             return unit, False
-    steps = np.diff(np.array(numbers, np.float64))
-    steps = steps[steps > 0.0]
+    steps = _forward_steps(numbers)
     is_whole = all(float(number).is_integer() for number in numbers)
     if not len(steps) or not is_whole:
         return "s", False
     # Whole numbers since the start of the log or of the vehicle.
     step = float(np.median(steps))
-    if step <= _LONGEST_PERIOD_S or (first >= _FIRST_DATE_S and step <= _SLOWEST_PERIOD_S):
+    if first >= _FIRST_DATE_S and step <= _SLOWEST_PERIOD_S:
         return "s", False
-    for unit in ("ms", "us", "ns"):
+    is_left_out = False
+    for unit in ("s", "ms", "us", "ns"):
         unit_s = 1e-6 * _MICROSECONDS[unit]
         if unit_s * step > _LONGEST_PERIOD_S:
             continue
+        # Rows that come slowly for half a day are rather fast ones of some minutes, in the next smaller unit.
+        span_s = unit_s * step * len(steps)
+        is_flight_in_smaller = 1e-3 * unit_s * step >= _SHORTEST_PERIOD_S and 1e-3 * span_s >= _SHORTEST_FLIGHT_S
+        if span_s > _LONGEST_FLIGHT_S and is_flight_in_smaller:
+            is_left_out = True
+            continue
+        if unit == "s" or is_left_out:
+            return unit, is_left_out
         # A fast and short log in this unit, or a slow one in the unit before it, a thousand times as long.
         is_doubtful = 1e3 * unit_s * step <= _SLOWEST_PERIOD_S and unit_s * float(steps.sum()) < _SHORTEST_FLIGHT_S
         if is_doubtful and unit == "ms" and step <= _SLOW_PERIOD_S:

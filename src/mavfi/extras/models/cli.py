@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavfi.cli.console import answer
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -43,9 +44,9 @@ def vehicle(
         warnings.simplefilter("ignore", UserWarning)  # says what is printed below
         find_vehicle(str(file))  # refuses what cannot fly
     share = config.mass * GRAVITY / (4.0 * config.max_rotor_thrust)
-    typer.echo(f"# {file}: hovers at {100.0 * share:.0f} % of the largest thrust")
+    answer(f"# {file}: hovers at {100.0 * share:.0f} % of the largest thrust")
     for remark in imported.remarks:
-        typer.echo(f"# {remark}")
+        answer(f"# {remark}")
     for key in VehicleConfig.model_fields:
         value = getattr(config, key)
         if value is None:
@@ -53,7 +54,7 @@ def vehicle(
         note = imported.notes.get(key, "mavfi's default")
         if key in imported.assumed:
             note = f"assumed: {note}"
-        typer.echo(f"{f'{key}: {_text(value)}':{_WIDTH}} # {note}")
+        answer(f"{f'{key}: {_text(value)}':{_WIDTH}} # {note}")
 
 
 def _import(file: Path) -> ImportedVehicle:

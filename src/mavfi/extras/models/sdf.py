@@ -64,6 +64,7 @@ class SdfModel:
         frames: Poses of all its frames, in its axes, by name.
         masses: Mass properties of the links that have any, in its axes, by link.
         shapes: Shapes for contacts, in its axes.
+        visual_shapes: Shapes of links that have none for contacts, in its axes.
         joints: Its joints.
         plugins: Its plug-ins (elements).
         is_static: Whether it stands still.
@@ -77,6 +78,7 @@ class SdfModel:
     frames: dict[str, Pose] = field(default_factory=dict)
     masses: dict[str, MassProperties] = field(default_factory=dict)
     shapes: list[Shape] = field(default_factory=list)
+    visual_shapes: list[Shape] = field(default_factory=list)
     joints: list[Joint] = field(default_factory=list)
     plugins: list[ET.Element] = field(default_factory=list)
     is_static: bool = False
@@ -88,7 +90,8 @@ class SdfModel:
         """Express everything in the axes of another frame, in which this model has a pose."""
         self.links = {name: pose.apply(inner) for name, inner in self.links.items()}
         self.frames = {name: pose.apply(inner) for name, inner in self.frames.items()}
-        self.shapes = [shape._replace(pose=pose.apply(shape.pose)) for shape in self.shapes]
+        for shapes in (self.shapes, self.visual_shapes):
+            shapes[:] = [shape._replace(pose=pose.apply(shape.pose)) for shape in shapes]
         for name, part in self.masses.items():
             tensor = product(product(pose.matrix, part.tensor), pose.matrix.T)
             self.masses[name] = MassProperties(part.mass, pose.point(part.centre), tensor)
@@ -98,7 +101,8 @@ class SdfModel:
         self.links = {f"{name}::{key}": value for key, value in self.links.items()}
         self.frames = {f"{name}::{key}": value for key, value in self.frames.items()}
         self.masses = {f"{name}::{key}": value for key, value in self.masses.items()}
-        self.shapes = [shape._replace(owner=f"{name}::{shape.owner}") for shape in self.shapes]
+        for shapes in (self.shapes, self.visual_shapes):
+            shapes[:] = [shape._replace(owner=f"{name}::{shape.owner}") for shape in shapes]
         for joint in self.joints:
             joint.name, joint.parent, joint.child = (
                 f"{name}::{part}" for part in (joint.name, joint.parent, joint.child)
@@ -111,6 +115,7 @@ class SdfModel:
         self.links |= other.links
         self.masses |= other.masses
         self.shapes += other.shapes
+        self.visual_shapes += other.visual_shapes
         self.joints += other.joints
         self.plugins += other.plugins
         self.has_ground = self.has_ground or other.has_ground
@@ -304,14 +309,10 @@ class SdfReader:
             tensor = _tensor(inertial.find("inertia"), what)
             turned = product(product(placed.matrix, tensor), placed.matrix.T)
             model.masses[name] = MassProperties(mass, placed.position, turned)
-        for collision in link.findall("collision"):
-            posed = collision.find("pose")
-            base = frame
-            if posed is not None and posed.get("relative_to"):
-                base = model.frames.get(posed.get("relative_to", ""), frame)
-            shape = _shape(collision.find("geometry"), base.apply(_pose(posed, what)), name, what)
-            if shape is not None:
-                model.shapes.append(shape)
+        contacts = _shapes_of(link, "collision", model, what)
+        model.shapes += contacts
+        if not contacts:
+            model.visual_shapes += _shapes_of(link, "visual", model, what)
 
     def _what(self, element: ET.Element) -> str:
         return f"{self._path}: {element.tag} {element.get('name', '')!r}"
@@ -448,8 +449,24 @@ def _tensor(element: ET.Element | None, what: str) -> np.ndarray:
     return tensor
 
 
+def _shapes_of(link: ET.Element, tag: str, model: SdfModel, what: str) -> list[Shape]:
+    """Shapes of a link for contacts (`collision`) or to look at (`visual`), in the axes of its model."""
+    owner = link.get("name", "")
+    frame = model.links[owner]
+    shapes = []
+    for element in link.findall(tag):
+        posed = element.find("pose")
+        base = frame
+        if posed is not None and posed.get("relative_to"):
+            base = model.frames.get(posed.get("relative_to", ""), frame)
+        shape = _shape(element.find("geometry"), base.apply(_pose(posed, what)), owner, what)
+        if shape is not None:
+            shapes.append(shape)
+    return shapes
+
+
 def _shape(geometry: ET.Element | None, pose: Pose, owner: str, what: str) -> Shape | None:
-    """A shape for contacts; None = an empty element."""
+    """A shape; None = an empty element."""
     if geometry is None or not len(geometry):
         return None
     element = geometry[0]

@@ -17,7 +17,7 @@ from mavfi.extras.models.sdf import SdfReader
 from mavfi.extras.models.vehicles import is_multirotor
 from mavfi.extras.models.xml_files import PATH_VARIABLES, read_xml
 from mavfi.sim.environments.world import World
-from mavfi.sim.mjcf import static_geoms
+from mavfi.sim.mjcf import StaticGeom, static_geoms
 
 LEAST_MARGIN = 20.0
 """Arena around start and goal, at least (m)."""
@@ -41,10 +41,12 @@ class Scene(NamedTuple):
 
     Attributes:
         shapes: Shapes that stand still.
+        visual_shapes: Shapes to look at, of what has none that collides; obstacles only if the user wants it.
         remarks: What is flown otherwise, or left out.
     """
 
     shapes: list[Shape]
+    visual_shapes: list[Shape]
     remarks: list[str]
 
 
@@ -56,8 +58,14 @@ def sdf_environment(path: Path) -> EnvironmentConfig:
     return _environment(path, "sdf_world", sdf_scene)
 
 
-def sdf_world(
-    seed: int, path: str, start: Vector | None = None, goal: Vector | None = None, without: Sequence[str] = ()
+def sdf_world(  # noqa: PLR0913 - the parameters of a generator
+    seed: int,
+    path: str,
+    start: Vector | None = None,
+    goal: Vector | None = None,
+    without: Sequence[str] = (),
+    *,
+    visual: bool = False,
 ) -> World:
     """The world of an SDF file.
 
@@ -67,18 +75,20 @@ def sdf_world(
         start: Start (m); required.
         goal: Goal (m); required.
         without: Names or patterns of models, links or shapes that are left out, e.g. `tree*`, or `*(mesh)`.
+        visual: Whether shapes to look at are obstacles, where nothing else of a link collides.
 
     Raises:
         BadInputError: It cannot be read, has shapes that are no boxes, or start or goal are missing.
     """
     del seed
-    return _world(path, sdf_scene(Path(path)), start, goal, without, "sdf_world")
+    return _world(path, sdf_scene(Path(path)), start, goal, without, "sdf_world", visual=visual)
 
 
 def sdf_scene(path: Path) -> Scene:
     """Obstacles of an SDF file: of all its models but vehicles."""
     file = SdfReader(path).read()
     shapes: list[Shape] = []
+    visual_shapes: list[Shape] = []
     vehicles = []
     moving = []
     for model in file.models:
@@ -88,13 +98,14 @@ def sdf_scene(path: Path) -> Scene:
         if not model.is_static and model.shapes:
             moving.append(model.name)
         shapes += [shape._replace(owner=f"{model.name}::{shape.owner}") for shape in model.shapes]
+        visual_shapes += [shape._replace(owner=f"{model.name}::{shape.owner}") for shape in model.visual_shapes]
         shapes += [Shape(MESH, (), IDENTITY, name) for name in model.missing]
     remarks = []
     if vehicles:
         remarks.append(f"left out, as vehicles: {_listed(vehicles)}")
     if moving:
         remarks.append(f"not static, held where they stand: {_listed(moving)}")
-    return Scene(shapes, remarks)
+    return Scene(shapes, visual_shapes, remarks)
 
 
 # ---- MJCF ------------------------------------------------------------------------------------------------------------
@@ -110,28 +121,40 @@ def xml_environment(path: Path) -> EnvironmentConfig:
     return _environment(path, "mjcf_world", mjcf_scene)
 
 
-def mjcf_world(
-    seed: int, path: str, start: Vector | None = None, goal: Vector | None = None, without: Sequence[str] = ()
+def mjcf_world(  # noqa: PLR0913 - the parameters of a generator
+    seed: int,
+    path: str,
+    start: Vector | None = None,
+    goal: Vector | None = None,
+    without: Sequence[str] = (),
+    *,
+    visual: bool = False,
 ) -> World:
     """The world of an MJCF scene; see `sdf_world`."""
     del seed
-    return _world(path, mjcf_scene(Path(path)), start, goal, without, "mjcf_world")
+    return _world(path, mjcf_scene(Path(path)), start, goal, without, "mjcf_world", visual=visual)
 
 
 def mjcf_scene(path: Path) -> Scene:
     """Obstacles of an MJCF scene: geoms that collide and that no joint moves; a mesh is its convex hull, as there."""
-    shapes = []
-    for geom in static_geoms(path):
-        pose = Pose(geom.matrix, geom.position)
-        if geom.kind == "plane":
-            shapes.append(Shape(PLANE, (), pose, geom.name))
-        elif geom.kind == "mesh":
-            shapes.append(Shape(MESH, (), pose, geom.name, geom.vertices))
-        elif geom.kind in _MJCF_KINDS:
-            shapes.append(Shape(_MJCF_KINDS[geom.kind], _mjcf_size(geom.kind, geom.size), pose, geom.name))
-        else:
-            shapes.append(Shape(MESH, (), pose, f"{geom.name} ({geom.kind})"))
-    return Scene(shapes, [])
+    geoms = static_geoms(path)
+    # A body usually has geoms to look at beside those that collide; geoms of the world itself stand for themselves.
+    colliding_bodies = {geom.body for geom in geoms if geom.collides and geom.body}
+    shapes = [_mjcf_shape(geom) for geom in geoms if geom.collides]
+    visual_shapes = [_mjcf_shape(geom) for geom in geoms if not geom.collides and geom.body not in colliding_bodies]
+    return Scene(shapes, visual_shapes, [])
+
+
+def _mjcf_shape(geom: StaticGeom) -> Shape:
+    """A geom as a shape."""
+    pose = Pose(geom.matrix, geom.position)
+    if geom.kind == "plane":
+        return Shape(PLANE, (), pose, geom.name)
+    if geom.kind == "mesh":
+        return Shape(MESH, (), pose, geom.name, geom.vertices)
+    if geom.kind in _MJCF_KINDS:
+        return Shape(_MJCF_KINDS[geom.kind], _mjcf_size(geom.kind, geom.size), pose, geom.name)
+    return Shape(MESH, (), pose, f"{geom.name} ({geom.kind})")
 
 
 def _mjcf_size(kind: str, size: np.ndarray) -> tuple[float, ...]:
@@ -153,7 +176,15 @@ def _environment(path: Path, generator: str, read: Callable[[Path], Scene]) -> E
     """The environment of a file; a warning says what its obstacles are."""
     scene = read(path)
     solids = [shape for shape in scene.shapes if shape.kind != PLANE and not _is_unknown(shape)]
-    say_boxes(path, solids, scene.remarks)
+    # Whoever sees a wall in the simulator expects it in the way.
+    remarks = list(scene.remarks)
+    visual_only = [shape.owner.partition("::")[0] for shape in scene.visual_shapes if not _is_ground_plane(shape)]
+    if visual_only:
+        remarks.append(
+            f"only to look at, and flown through: {_listed(visual_only)} (obstacles with 'generator: {generator}' and "
+            f"'parameters: {{path: {path}, visual: true}}' in an environment file)"
+        )
+    say_boxes(path, solids, remarks)
     return EnvironmentConfig(name=path.stem, generator=generator, parameters={"path": str(path)})
 
 
@@ -172,15 +203,27 @@ def _is_unknown(shape: Shape) -> bool:
     return shape.kind == MESH and shape.vertices is None
 
 
-def _world(
-    path: str, scene: Scene, start: Vector | None, goal: Vector | None, without: Sequence[str], generator: str
+def _world(  # noqa: PLR0913 - the parameters of a generator
+    path: str,
+    scene: Scene,
+    start: Vector | None,
+    goal: Vector | None,
+    without: Sequence[str],
+    generator: str,
+    *,
+    visual: bool,
 ) -> World:
     """A world with the obstacles of a scene."""
     if start is None or goal is None:
         raise BadInputError(f"{path}: has no start and goal of its own; give both")
     if isinstance(without, str) or not all(isinstance(pattern, str) for pattern in without):
         raise BadInputError(f"parameter 'without': {without!r}; allowed: a list of names or patterns")
-    shapes = [shape for shape in scene.shapes if not _matches(shape.owner, without)]
+    if not isinstance(visual, bool):
+        raise BadInputError(f"parameter 'visual': {visual!r}; allowed: true, false")
+    shapes = list(scene.shapes)
+    if visual:
+        shapes += scene.visual_shapes
+    shapes = [shape for shape in shapes if not _matches(shape.owner, without)]
     unknown = [shape.owner for shape in shapes if _is_unknown(shape)]
     if unknown:
         raise BadInputError(
@@ -218,7 +261,7 @@ def world_of(path: str, shapes: Sequence[Shape], start: Vector, goal: Vector) ->
         boxes = boxes_of([shape for shape in shapes if shape.kind != PLANE])
     except BadInputError as error:
         raise BadInputError(f"{path}: {error}") from None
-    planes = [_slab(path, shape) for shape in shapes if shape.kind == PLANE and not _is_ground(shape)]
+    planes = [_slab(path, shape) for shape in shapes if shape.kind == PLANE and not _is_ground_plane(shape)]
     lower = np.concatenate([boxes.lower, np.array([low for low, _ in planes]).reshape(-1, 3)])
     upper = np.concatenate([boxes.upper, np.array([high for _, high in planes]).reshape(-1, 3)])
     lower = np.maximum(lower, arena_lower - _AROUND_ARENA)
@@ -236,9 +279,9 @@ def world_of(path: str, shapes: Sequence[Shape], start: Vector, goal: Vector) ->
     )
 
 
-def _is_ground(shape: Shape) -> bool:
-    """Whether a plane is the ground, or below it."""
-    return bool(shape.pose.matrix[2, 2] > 1.0 - _STRAIGHT and shape.pose.position[2] < _FLAT)
+def _is_ground_plane(shape: Shape) -> bool:
+    """Whether a shape is the ground, or a plane below it."""
+    return shape.kind == PLANE and bool(shape.pose.matrix[2, 2] > 1.0 - _STRAIGHT and shape.pose.position[2] < _FLAT)
 
 
 def _slab(path: str, shape: Shape) -> tuple[np.ndarray, np.ndarray]:

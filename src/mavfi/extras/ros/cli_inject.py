@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _MAX_DURATION_S = 7 * 86_400.0
 _POLL_S = 0.02
+_EXIT_NOT_INJECTED = 3
+"""Exit code if no message could be changed."""
 _SHOWN_REFUSALS = 3
 """As many as a process reports of a fault."""
 _AFTERWARDS_S = 1.0
@@ -175,6 +177,7 @@ class _Account:
                 {
                     "topic": self._topic,
                     "passed": injection.messages,
+                    "changed": injection.changed,
                     "injections": [report.to_injection().to_json() for report in self._injections],
                     "refusals": self._refusals,
                     "aftermath": self._events,
@@ -185,7 +188,7 @@ class _Account:
         end = "the graph is as it was"
         if self.has_lost_target:
             end = "the process that was to be injected has ended"
-        self._say(f"{counted(injection.messages, 'message')} passed, {len(self._injections)} changed; {end}")
+        self._say(f"{counted(injection.messages, 'message')} passed, {injection.changed} changed; {end}")
 
     def _say(self, line: str) -> None:
         if not self._as_json:
@@ -193,7 +196,10 @@ class _Account:
 
 
 def _inject(fault: InterposedFault, node: str, duration: float, *, as_json: bool) -> None:
-    """Inject into the running graph, and report; exit code 1 if the target ended before an injection."""
+    """Inject into the running graph, and report.
+
+    The exit code is 1 if the target ended before an injection, and 3 if no message was changed for another reason.
+    """
     from mavfi.extras.ros.ros2.graph import AgentClient
     from mavfi.extras.ros.ros2.injection import RunningGraphInjection
 
@@ -206,9 +212,14 @@ def _inject(fault: InterposedFault, node: str, duration: float, *, as_json: bool
                     console(error=True).print(f"not reached: {line}", markup=False)
                 _follow(injection, duration, account)
         finally:
+            # What was changed since the last look, until the fault was disarmed.
+            for report in injection.new_reports():
+                account.add_report(report)
             account.close(injection)
     if account.has_lost_target and not account.has_injected:
         raise typer.Exit(1)
+    if not account.has_injected:
+        raise typer.Exit(_EXIT_NOT_INJECTED)
 
 
 def _follow(injection: RunningGraphInjection, duration: float, account: _Account) -> None:
@@ -228,6 +239,14 @@ def _follow(injection: RunningGraphInjection, duration: float, account: _Account
     replacement = injection.replacement()
     if replacement:
         account.add_event(replacement)
+
+
+def _can_never_be(injected: GraphInjection) -> bool:
+    """Whether a number was refused that no message of its type has."""
+    from mavfi.extras.ros.ros2.message_types import NO_FIELD
+
+    text = injected.report.text
+    return injected.report.kind == "refused" and (text.startswith("no member ") or NO_FIELD in text)
 
 
 def report_line(injected: GraphInjection) -> str:
@@ -267,7 +286,7 @@ def run(
 ) -> None:
     r"""Start ROS 2 nodes, also by a launch file, with faults in their messages; the launch file stays as it is.
 
-    Instants count from the start. The exit code is that of the command.
+    Instants count from the start. The exit code is that of the command; 3 if it is 0 and no message was changed.
 
     Example: [bold]mavfi ros run --fault 'topic:/scan ranges\[17] bit=30 @n=100' -- ros2 launch PACKAGE FILE[/bold]
     """
@@ -281,6 +300,10 @@ def run(
             is_over = started.has_ended
             for report in started.new_reports():
                 reports.append(report)
+                if _can_never_be(report):
+                    raise BadInputError(
+                        f"fault in {report.fault.topic}: field {report.fault.field}: {report.report.text}"
+                    )
                 if not as_json:
                     console(error=True).print(report_line(report), markup=False, soft_wrap=True)
             if is_over:
@@ -298,4 +321,7 @@ def run(
     else:
         for line in summary:
             console(error=True).print(line, markup=False, soft_wrap=True)
-    raise typer.Exit(started.exit_code)
+    exit_code = started.exit_code
+    if exit_code == 0 and not any(report.report.kind == "changed" for report in reports):
+        exit_code = _EXIT_NOT_INJECTED
+    raise typer.Exit(exit_code)

@@ -19,6 +19,8 @@ _FORMAT_OF_FOLDERS = "mcap"
 """Folders are recordings of rosbag2, read by the reader of its files."""
 _DESCRIPTION = "metadata.yaml"
 """Name of the file in such a folder that describes it."""
+_RAW_LOGS = ("bbl", "bfl")
+"""Extensions of logs of Betaflight, INAV and others that only their own decoder reads."""
 LONGEST_LIST = 16
 """Longer lists in messages are left out."""
 
@@ -153,6 +155,10 @@ def open_flight_log(path: Path) -> FlightLogReader:
     if path.is_dir():
         extension = _FORMAT_OF_FOLDERS
     formats = known(GROUP, {})
+    if extension in _RAW_LOGS:
+        raise BadInputError(
+            f"{path}: a raw log of a flight controller; allowed: the .csv that its decoder blackbox_decode writes"
+        )
     if extension not in formats:
         endings = ", ".join(f".{name}" for name in sorted(formats))
         raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {endings}")

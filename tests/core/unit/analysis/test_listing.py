@@ -94,3 +94,12 @@ def test_the_partner_has_the_same_fault_and_succeeds_where_one_does():
     assert partner(frame, "1") == "gaussian1"
     assert partner(frame, "autoencoder1") == "1"
     assert partner(frame, "3") is None and partner(frame, "other2") is None
+
+
+def test_a_run_that_a_host_could_not_judge_has_its_reason():
+    """A host whose runs are no flights tells it in the record; there is no exception and no note."""
+    unjudged = injected(3, replace(UNKNOWN, error="the number has no such bit"))
+    table = listing(runs(golden(1), unjudged), failed=True)
+    assert [row[[column.key for column in table.columns].index("reason")] for row in table.rows] == [
+        "the number has no such bit"
+    ]

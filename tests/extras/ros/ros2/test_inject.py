@@ -88,6 +88,48 @@ def test_nodes_are_started_with_faults_and_missing_ones_are_explained(ros2, capf
     assert lines[3].startswith("/nothing: NOT injected: none of 1 processes had a message of it")
 
 
+@pytest.fixture(scope="module")
+def signals(ros2):
+    process = ros2.start("signals.py", "600")
+    with AgentClient(ros2.installation) as client:
+        assert client.wait_for("/takeoff", limit_s=20)
+        yield process
+    assert process.poll() is None
+
+
+NO_FIELD = "has no field; allowed: drop, delay, duplicate"
+
+
+@once
+def test_a_message_without_numbers_has_none_to_change(signals, ros2, capfd, monkeypatch):
+    assert run("ros inject --topic /takeoff --field data --set 1".split()) == 2
+    assert f"field data: std_msgs/msg/Empty {NO_FIELD}" in capfd.readouterr().err
+    for name, value in ros2.installation.environment(ROS_DOMAIN_ID="49").items():
+        monkeypatch.setenv(name, value)
+    command = [ros2.installation.python, str(NODES / "signals.py"), "60"]
+    assert run(["ros", "run", "--fault", "topic:/takeoff data set=1", "--", *command]) == 2
+    assert f"fault in /takeoff: field data: Empty {NO_FIELD}" in capfd.readouterr().err
+
+
+FEEDBACK = "ros inject --topic /count/_action/feedback --field feedback.sequence[0] --set 9".split()
+
+
+@once
+def test_feedback_of_an_action_is_changed_and_what_is_counted_is_what_was_changed(signals, capsys):
+    assert run([*FEEDBACK, "--json"]) == 0
+    (injection,) = json.loads(capsys.readouterr().out)["injections"]
+    assert (injection["before"], injection["after"]) == (1, 9) and injection["details"]["verified"] is True
+    assert run([*FEEDBACK, "--times", "0", "--duration", "0.5", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["changed"] == data["passed"] == len(data["injections"]) > 30
+
+
+@once
+def test_the_exit_code_says_that_nothing_was_changed(signals, capsys):
+    assert run([*FEEDBACK, "--at", "n=100000", "--duration", "0.3"]) == 3
+    assert "0 changed; the graph is as it was" in capsys.readouterr().out
+
+
 SUPERVISOR = """
 import subprocess, sys
 while True:

@@ -4,8 +4,10 @@ import dataclasses
 import itertools
 import json
 import math
+import os
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -240,6 +242,24 @@ def test_what_cannot_be_changed_is_said(relay, page):
     ]
 
 
+def test_a_cpp_node_that_has_loaded_tables_for_python_is_one_in_cpp(ros2, page, tmp_path):
+    """As if linked with -lrclcpp and all libraries of its message package, none left out as unneeded."""
+    rclcpp = tmp_path / "librclcpp.so"
+    subprocess.run(
+        ["gcc", "-shared", "-Wl,-soname,librclcpp.so", "-x", "c", "/dev/null", "-o", str(rclcpp)], check=True
+    )
+    command = [str(compiled_relay(ros2.installation, tmp_path)), "--open", str(rclcpp)]
+    command.append("libtest_msgs__rosidl_generator_py.so")
+    with Relay(ros2, page, command, next(DOMAINS), is_late=True) as relay, Attachments(page) as attachments:
+        attachments.attach(relay.process.pid)
+        kind = relay.messages.kinds["BasicTypes"]
+        change = Change(Operation("set", 7.0), When(first=2))
+        page.arm([InterposedFault("/out/BasicTypes", "int32_value", change, type=kind)])
+        received = relay.relayed("BasicTypes", relay.messages.data["BasicTypes"], 2)
+        assert [report.kind for report in page.reports()] == ["changed"]
+        assert relay.messages.read("BasicTypes", received[1]).int32_value == 7
+
+
 def test_processes_without_ros_are_refused(page):
     process = subprocess.Popen(["sleep", "60"])
     try:
@@ -289,6 +309,25 @@ def test_calls_actions_and_six_faults_on_four_threads_are_changed_exactly(ros2, 
     assert page.lost_reports == 0
 
 
+def test_a_process_with_faults_is_refused_to_another_mavfi_until_that_ends(ros2, page):
+    command = [ros2.installation.python, str(NODES / "relay.py")]
+    other = "from mavfi.extras.ros.ros2.interposer.attach import Attachments\n"
+    other += "from mavfi.extras.ros.ros2.interposer.page import ControlPage\nimport sys\n"
+    other += "with ControlPage() as page, Attachments(page) as attachments: attachments.attach(int(sys.argv[1]))"
+    with Relay(ros2, page, command, next(DOMAINS), is_late=True) as relay:
+        words = [sys.executable, "-c", other, str(relay.process.pid)]
+        with Attachments(page) as attachments:
+            attachments.attach(relay.process.pid)
+            kind = relay.messages.kinds["Twist"]
+            page.arm([InterposedFault("/out/Twist", "linear.x", parse_change(["set=7", "times=0"]), type=kind)])
+            second = subprocess.run(words, capture_output=True, text=True, check=False)
+            assert f"has faults of mavfi, process {os.getpid()}; allowed: after its end" in second.stderr
+            (received,) = relay.relayed("Twist", relay.messages.data["Twist"], 1)
+            assert relay.messages.read("Twist", received).linear.x == 7.0
+        assert subprocess.run(words, check=False).returncode == 0
+    page.reports()
+
+
 @pytest.mark.parametrize("relay", ["c++ preloaded --announce"], indirect=True, scope="module")
 def test_messages_handed_over_as_pointers_are_changed_once(relay, page):
     page.arm([InterposedFault("/out/Twist", "linear.x", Change(Operation("bias", 1.0), When(first=2, times=2)))])
@@ -297,3 +336,14 @@ def test_messages_handed_over_as_pointers_are_changed_once(relay, page):
     page.arm([InterposedFault("/out/Twist", "", Change(Operation("drop"), When()))])
     assert len(relay.relayed("Twist", relay.messages.data["Twist"], 1)) == 1
     assert "handed over as a pointer" in page.reports()[-1].text
+
+
+@pytest.mark.parametrize("relay", ["c++ preloaded --adapt"], indirect=True, scope="module")
+def test_an_object_that_may_be_no_message_is_left_alone(relay, page):
+    data = relay.messages.data["Twist"]
+    page.arm([InterposedFault("/out/Twist", "linear.x", Change(Operation("set", 5.0), When(times=0)))])
+    assert relay.relayed("Twist", data, 3) == [data] * 3
+    reports = until(lambda: page.reports())
+    assert {report.kind for report in reports} == {"refused"}
+    assert "a pointer to what may be no ROS message" in reports[0].text
+    assert page.messages_changed(0) == 0

@@ -56,6 +56,15 @@ def drawn(**sampling):
     return made, sampler.draw(draws, "node", golden())
 
 
+def test_an_operation_that_a_topic_can_never_have_is_not_drawn():
+    """`/in` has no number to flip: each of its faults is a drop."""
+    _, faults = drawn(topics=["/in", "/out"], operations=["flip", "drop"])
+    assert None not in faults
+    operations = [fault.planned.operation.name for fault in faults if fault.topic == "/in"]
+    assert operations == ["drop"] * 200
+    assert {fault.planned.operation.name for fault in faults if fault.topic == "/out"} == {"flip", "drop"}
+
+
 def test_defaults_follow_from_the_stack_and_its_ledger_keeps_it():
     made = campaign()
     assert made.environments == ("node",) and made.missions == 2 and not made.flies

@@ -168,6 +168,43 @@ def test_a_stack_of_several_nodes_gets_its_inputs_from_a_script(bench, jazzy):
     assert crash.effect == "crash" and crash.differing == 6 and "a position is NaN" in crash.reason
 
 
+AGE = """
+import time
+import rclpy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+rclpy.init()
+node = rclpy.create_node("age")
+ages = node.create_publisher(Float64, "/age", 10)
+
+def receive(state):
+    age = time.time() - state.header.stamp.sec - 1e-9 * state.header.stamp.nanosec
+    ages.publish(Float64(data=float(0.0 <= age < 0.2)))
+
+node.create_subscription(JointState, "/in", receive, 10)
+rclpy.spin(node)
+"""
+
+
+def test_inputs_may_have_the_time_at_which_each_is_published(bench, jazzy):
+    (jazzy / "age.py").write_text(AGE)
+    (jazzy / "verdict.py").write_text(
+        "def fresh(outputs):\n    return all(age['data'] == 1.0 for age in outputs['/age'])\n"
+    )
+    messages = [{"header": {"stamp": "now"}, "position": [0.5]}] * 4
+    client = bench(
+        nodes=[["python3", "age.py"]],
+        inputs={"topic": "/in", "type": "sensor_msgs/msg/JointState", "messages": messages, "period_s": 0.25},
+        outputs=[{"topic": "/age"}],
+        watch=[],
+        verdict="verdict.py:fresh",
+        golden_runs=1,
+    )
+    golden = client.golden()
+    assert (golden["status"], golden["outputs"]) == ("success", 4)
+
+
 @pytest.mark.slow
 @pytest.mark.long
 def test_registers_are_injected_while_the_stack_computes(bench, jazzy):

@@ -22,6 +22,7 @@ import importlib
 import json
 import os
 import queue
+import re
 import signal
 import socket
 import threading
@@ -92,11 +93,19 @@ def full_name(kind):
     return "/".join(parts)
 
 
+FEEDBACK = "_FeedbackMessage"
+"""How the type of an action's feedback topic ends."""
+
+
 def message_class(kind):
     """The Python class of a message type."""
     package, folder, name = full_name(kind).split("/")
+    action = name.removesuffix(FEEDBACK)
     try:
-        return getattr(importlib.import_module(f"{package}.{folder}"), name)
+        module = importlib.import_module(f"{package}.{folder}")
+        if folder == "action" and action != name:
+            return getattr(module, action).Impl.FeedbackMessage
+        return getattr(module, name)
     except (ImportError, AttributeError) as error:
         raise RequestError(f"type {kind}: this ROS installation has no Python class of it ({error})") from None
 
@@ -104,12 +113,23 @@ def message_class(kind):
 def definition_text(kind):
     """Text of the file that defines a message type, from the prefixes of this installation."""
     package, folder, name = full_name(kind).split("/")
+    ending = "msg"
+    if folder == "action":
+        # The parts of an action have no files of their own: its file holds goal, result and feedback.
+        ending = "action"
+        if name.endswith(FEEDBACK):
+            part = kind.removesuffix(FEEDBACK) + "_Feedback"
+            return f"unique_identifier_msgs/UUID goal_id\n{part} feedback\n"
+        name = name.removesuffix("_Feedback")
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        path = os.path.join(prefix, "share", package, folder, f"{name}.msg")
+        path = os.path.join(prefix, "share", package, folder, f"{name}.{ending}")
         if prefix and os.path.isfile(path):
             with open(path, encoding="utf-8") as file:
-                return file.read()
-    raise RequestError(f"type {kind}: no file {package}/{folder}/{name}.msg in this ROS installation")
+                text = file.read()
+            if folder == "action":
+                return re.split(r"^---.*$", text, flags=re.MULTILINE)[2]
+            return text
+    raise RequestError(f"type {kind}: no file {package}/{folder}/{name}.{ending} in this ROS installation")
 
 
 # ---- the node --------------------------------------------------------------------------------------------------------

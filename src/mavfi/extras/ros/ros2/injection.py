@@ -134,6 +134,8 @@ class RunningGraphInjection:
         return self
 
     def __exit__(self, *_: object) -> None:
+        # First, so that the counts and reports are complete and no longer grow.
+        self._page.disarm()
         self._stack.close()
 
     # ---- what happens -----------------------------------------------------------------------------------------------
@@ -156,6 +158,11 @@ class RunningGraphInjection:
     def messages(self) -> int:
         """Number of messages that have passed."""
         return self._page.messages_seen(0)
+
+    @property
+    def changed(self) -> int:
+        """Number of messages that were changed."""
+        return self._page.messages_changed(0)
 
     def new_reports(self) -> Iterator[GraphInjection]:
         """Injections and refusals since the last call, each verified by a second reader where that is possible."""

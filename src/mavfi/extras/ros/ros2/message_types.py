@@ -18,6 +18,10 @@ _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])*)(?:\.|$)")
 """A part of a field's path: name and indices."""
 _DTYPES = {"bool": "?", "byte": "u1", "octet": "u1", "char": "u1", "float32": "f4", "float64": "f8"}
 _STRINGS = ("string", "wstring")
+NO_FIELD = "has no field; allowed: drop, delay, duplicate"
+"""Why a number cannot be changed in a message without any, such as std_msgs/msg/Empty."""
+_OF_NO_FIELD = "structure_needs_at_least_one_member"
+"""The only member of such a message in languages that have no empty structures."""
 _HEADER = "MSG: std_msgs/Header\n"
 
 
@@ -119,6 +123,8 @@ class Decoder:
             if node != Nodetype.NAME:
                 raise BadInputError(f"field {path}: {name!r} is in no message; allowed: the path of a number")
             members = dict(self._store.fielddefs[details][1])
+            if not set(members) - {_OF_NO_FIELD}:
+                raise BadInputError(f"field {path}: {details} {NO_FIELD}")
             if name not in members:
                 raise BadInputError(f"field {path}: member of {details} {not_known(name, members)}")
             description = members[name]

@@ -1,8 +1,10 @@
 // A C++ node on rcl alone, as rclcpp is in no package index: takes a message of each type and publishes it.
-//   relay [--announce]: with it, it announces messages to the tracer first, as rclcpp does within a process.
+//   relay [--announce | --adapt | --open LIBRARY ...]: with --announce, it announces messages to the tracer first, as rclcpp
+//   does within a process; with --adapt, objects that are none, as with a type adapter; with --open, it loads libraries, as a program does that is linked without --as-needed.
 #include <chrono>
 #include <cstdio>
 #include <cstring>
+#include <dlfcn.h>
 #include <string>
 #include <vector>
 
@@ -29,8 +31,19 @@ void *PyExc_RuntimeError;
 void *_Py_TrueStruct;
 }
 
+// As rclcpp's publisher announces a message; its symbol tells of which class the object is.
+namespace rclcpp {
+template <class Message, class Allocator>
+struct Publisher {
+  __attribute__((noinline)) static void announce(rcl_publisher_t *publisher, const Message *message) {
+    ros_trace_rclcpp_intra_publish(publisher, message);
+    asm volatile("" ::: "memory");  // no tail call, whose return address would be that of the caller
+  }
+};
+}  // namespace rclcpp
+
 static rcl_node_t node;
-static bool announces;
+static bool announces, adapts;
 
 static void check(rcl_ret_t result, const char *what) {
   if (result == RCL_RET_OK) return;
@@ -60,7 +73,10 @@ struct RouteOf : Route {
     Message message;
     rmw_message_info_t info;
     while (rcl_take(&in, &message, &info, nullptr) == RCL_RET_OK) {
-      if (announces) ros_trace_rclcpp_intra_publish(&out, &message);
+      if (announces) rclcpp::Publisher<Message, std::allocator<void>>::announce(&out, &message);
+      int own[64] = {0};  // in place of a class of the user's own
+      if (adapts) ros_trace_rclcpp_intra_publish(&out, own);
+      for (int number : own) check(number ? RCL_RET_ERROR : RCL_RET_OK, "an object that is no message was changed");
       check(rcl_publish(&out, &message, nullptr), "publish");
     }
     rcutils_reset_error();
@@ -68,7 +84,13 @@ struct RouteOf : Route {
 };
 
 int main(int argc, char **argv) {
+  adapts = argc > 1 && !strcmp(argv[1], "--adapt");
   announces = argc > 1 && !strcmp(argv[1], "--announce");
+  for (int i = 2; i < argc && !strcmp(argv[1], "--open"); i++) {
+    if (dlopen(argv[i], RTLD_LAZY | RTLD_GLOBAL)) continue;
+    fprintf(stderr, "%s\n", dlerror());
+    return 1;
+  }
   auto allocator = rcl_get_default_allocator();
   auto options = rcl_get_zero_initialized_init_options();
   auto context = rcl_get_zero_initialized_context();

@@ -61,6 +61,12 @@ class Attachments:
             self._load(pid, path)
         except (FileNotFoundError, ProcessLookupError):
             raise BadInputError(f"process {pid}: has ended") from None
+        owner = self._page.take_busy_with()
+        if owner:
+            raise BadInputError(
+                f"process {pid}: has faults of mavfi, process {owner}; allowed: after its end, or several --fault "
+                "of one `mavfi ros run`"
+            )
         redirected = self._page.redirected_calls() - calls_before
         self.redirected[pid] = redirected
         if redirected == 0:

@@ -56,7 +56,7 @@ typedef struct {
   _Atomic uint32_t armed;       // number of faults; 0: nothing is changed
   _Atomic uint32_t processes;   // that have loaded this library
   _Atomic uint32_t redirected;  // calls that `mavfi_attach` has redirected, minus those restored
-  uint32_t reserved;
+  uint32_t busy_with;           // mavfi whose faults a process has already; 0: none
   int64_t armed_ns;             // CLOCK_MONOTONIC
   _Atomic int64_t sim_ns;       // the graph's simulated time
   _Atomic uint64_t reports_made;

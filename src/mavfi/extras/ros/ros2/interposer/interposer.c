@@ -149,6 +149,13 @@ static void forget(const void *entity) {
   pthread_mutex_unlock(&known_lock);
 }
 
+static int note_rclpy(struct dl_phdr_info *library, size_t size, void *found) {
+  (void)size;
+  const char *name = strrchr(library->dlpi_name, '/');
+  if (name && !strncmp(name, "/_rclpy", 7)) *(bool *)found = true;
+  return 0;
+}
+
 static bool is_loaded(const char *package, const char *kind, const char *language) {
   char name[256];
   snprintf(name, sizeof name, "lib%s__%s_%s.so", package, kind, language);
@@ -161,11 +168,12 @@ static bool remember_by_name(const entity_t *entity, const char *type_name, bool
   char package[128], kind[16], name[128], library[300], symbol[512];
   if (sscanf(type_name, "%127[^/]/%15[^/]/%127s", package, kind, name) != 3) REFUSE("its type is not known");
 
-  // Whether the process has C or C++ messages shows in the type support that it has loaded.
-  bool has_c = is_loaded(package, "rosidl_typesupport", "c");
+  // Whether the process has C or C++ messages shows in the client library that it has loaded.  Tables for Python are no
+  // sign of Python nodes: a C++ program that is linked without --as-needed loads them, too.
   bool has_cpp = is_loaded(package, "rosidl_typesupport", "cpp");
   bool has_rclcpp = dlopen("librclcpp.so", RTLD_LAZY | RTLD_NOLOAD) != NULL;
-  bool has_rclpy = has_c && is_loaded(package, "rosidl_generator", "py");
+  bool has_rclpy = false;
+  dl_iterate_phdr(note_rclpy, &has_rclpy);
   if (has_rclcpp && has_rclpy) REFUSE("C++ and Python nodes in one process: start it with `mavfi ros run`");
   bool is_cpp = has_rclcpp || (has_cpp && !has_rclpy);
   const char *language = is_cpp ? "cpp" : "c";
@@ -297,9 +305,25 @@ static void renew_held(uint32_t generation) {
   }
 }
 
+/* Whether the function that a call came from is a member of rclcpp's publisher of a ROS message.  With a type adapter, it
+ * is one of a class of the user's own, and its object is not laid out as the message. */
+static bool publishes(const void *caller, type_t type) {
+  Dl_info function;
+  if (!dladdr(caller, &function) || !function.dli_sname) return false;
+  // The namespace is "package::msg"; the symbol begins with rclcpp::Publisher<package::msg::Name_<std::allocator<void>>.
+  const char *namespace = type.members->space;
+  int length = (int)strcspn(namespace, ":");
+  char expected[512];
+  snprintf(expected, sizeof expected, "_ZN6rclcpp9PublisherIN%d%.*s3msg%zu%s_ISaIvEE", length, length, namespace,
+           strlen(type.members->name) + 1, type.members->name);
+  return !strncmp(function.dli_sname, expected, strlen(expected));
+}
+
 /* Applies all faults in numbers of a message; the faults in the whole message are left to the caller.
- * `in_place`: the message is the receiver's own. */
-static verdict_t examine(int side, const entity_t *entity, int part, const void *message, bool in_place) {
+ * `in_place`: the message is the receiver's own.
+ * `announcer`: code of rclcpp that announced an object, which may be no ROS message; NULL: it is one. */
+static verdict_t examine(int side, const entity_t *entity, int part, const void *message, bool in_place,
+                         const void *announcer) {
   verdict_t verdict = {.fault = -1};
   uint32_t generation = atomic_load(&control->generation);
   uint32_t count = atomic_load(&control->armed);
@@ -312,6 +336,10 @@ static verdict_t examine(int side, const entity_t *entity, int part, const void 
     number_t number;
     bool is_typed = types_of(entity, fault, &verdict.known, why);
     type_t type = verdict.known.types[part];
+    if (is_typed && announcer && !publishes(announcer, type)) {
+      is_typed = false;
+      snprintf(why, TEXT, "handed over as a pointer to what may be no ROS message: link with -rdynamic, or as a component");
+    }
 
     // Is it due?  The condition sees the message as it is.
     double condition = __builtin_nan("");
@@ -462,21 +490,21 @@ static int publish_as(const verdict_t *verdict, const entity_t *publisher, const
   return next(publisher, message, allocation);
 }
 
-// The message whose hand-over within the process has been examined, and its publisher.
-static __thread const void *announced;
+// The publisher whose latest message has been examined when it was handed over within the process.  What it sends to
+// other processes may be a copy, so the message is not known by its address.
 static __thread const entity_t *announced_by;
 
 int rmw_publish(const entity_t *publisher, const void *message, void *allocation) {
   NEXT(rmw_publish);
-  bool is_examined = message && announced == message && announced_by == publisher;
-  announced = NULL;
+  bool is_examined = announced_by == publisher;
+  announced_by = NULL;
   if (is_examined || (!is_armed() && !atomic_load(&waiting))) return next(publisher, message, allocation);
   if (!is_armed()) {
     int sent = next(publisher, message, allocation);
     release_held(publisher);
     return sent;
   }
-  verdict_t verdict = examine(PUBLISH, publisher, 0, message, false);
+  verdict_t verdict = examine(PUBLISH, publisher, 0, message, false, NULL);
   int result = publish_as(&verdict, publisher, verdict.copy ? verdict.copy : message, allocation);
   bool is_held = verdict.fault >= 0 && control->faults[verdict.fault].operation == REORDER;
   if (!is_held) release_held(publisher);
@@ -527,7 +555,7 @@ int rmw_publish_loaned_message(const entity_t *publisher, void *message, void *a
 int rmw_publish_loaned_message(const entity_t *publisher, void *message, void *allocation) {
   NEXT(rmw_publish_loaned_message);
   if (is_armed()) {  // it belongs to the middleware from now on
-    verdict_t verdict = examine(PUBLISH, publisher, 0, message, true);
+    verdict_t verdict = examine(PUBLISH, publisher, 0, message, true, NULL);
     if (verdict.fault >= 0) refuse((uint32_t)verdict.fault, verdict.number, "a loaned message: only its numbers change");
   }
   return next(publisher, message, allocation);
@@ -544,11 +572,10 @@ void ros_trace_rclcpp_intra_publish(const void *rcl_publisher, const void *messa
   }
   const entity_t *publisher = is_armed() && rmw_of ? rmw_of(rcl_publisher) : NULL;
   if (publisher) {
-    verdict_t verdict = examine(PUBLISH, publisher, 0, message, true);
+    verdict_t verdict = examine(PUBLISH, publisher, 0, message, true, __builtin_return_address(0));
     if (verdict.fault >= 0) {
       refuse((uint32_t)verdict.fault, verdict.number, "handed over as a pointer: only its numbers change");
     }
-    announced = message;
     announced_by = publisher;
   }
   if (next) next(rcl_publisher, message);
@@ -557,7 +584,7 @@ void ros_trace_rclcpp_intra_publish(const void *rcl_publisher, const void *messa
 /* ---- taking: the message is in the reader's own memory -------------------------------------------------------------- */
 static void examine_taken(int side, const entity_t *entity, int part, void *message, bool *taken) {
   if (!*taken || !is_armed()) return;
-  verdict_t verdict = examine(side, entity, part, message, true);
+  verdict_t verdict = examine(side, entity, part, message, true, NULL);
   if (verdict.fault < 0) return;
   int index = verdict.fault;
   bool is_done = true;
@@ -629,7 +656,7 @@ int rmw_take_sequence(const entity_t *subscription, size_t count, sequence_t *me
   int name parameters {                                                                                             \
     NEXT(name);                                                                                                     \
     if (!is_armed()) return next original;                                                                          \
-    verdict_t verdict = examine(side, s, part, m, false);                                                           \
+    verdict_t verdict = examine(side, s, part, m, false, NULL);                                                           \
     const void *sent = verdict.copy ? verdict.copy : m;                                                             \
     bool is_dropped = verdict.fault >= 0 && control->faults[verdict.fault].operation == DROP;                       \
     if (verdict.fault >= 0 && !is_dropped) refuse((uint32_t)verdict.fault, verdict.number, "a call: only its numbers change, or drop"); \
@@ -679,6 +706,8 @@ DESTROY_FUNCTION(rmw_destroy_service)
 /* ---- loading ------------------------------------------------------------------------------------------------------- */
 static void note_process(void) { process_id = (uint32_t)getpid(); }
 
+static bool is_attached;  // to a page
+
 static bool open_page(const char *path) {
   int file = open(path, O_RDWR | O_CLOEXEC);
   if (file < 0) return false;
@@ -686,6 +715,12 @@ static bool open_page(const char *path) {
   close(file);
   if (page == MAP_FAILED) return false;
   if (page->magic != MAGIC || page->layout != LAYOUT) return false;
+  if (is_attached && page->owner != control->owner && owner_lives()) {
+    page->busy_with = control->owner;  // the faults of another mavfi would end without a word
+    munmap(page, sizeof *page);
+    return false;
+  }
+  is_attached = true;
   if (owner_fd >= 0) close(owner_fd);
   owner_fd = (int)syscall(SYS_pidfd_open, page->owner, 0);
   if (owner_fd >= 0) fcntl(owner_fd, F_SETFD, FD_CLOEXEC);
@@ -815,6 +850,7 @@ void mavfi_attach(const char *page_path) {
 void mavfi_detach(void);
 void mavfi_detach(void) {
   if (atomic_load(&waiting)) release_all();
+  is_attached = is_preloaded && control && owner_lives();
   while (redirected_count) {
     redirected_count--;
     write_slot(redirected[redirected_count].slot, redirected[redirected_count].original);

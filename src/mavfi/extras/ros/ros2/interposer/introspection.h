@@ -108,6 +108,10 @@ static bool find_number(type_t type, void *message, const char *path, copies_t *
       const member_t *candidate = members_of(type.members) + i;
       if (strlen(candidate->name) == length && !strncmp(candidate->name, path, length)) member = candidate;
     }
+    bool is_empty = type.members->count == 0;
+    // C has no empty structures
+    if (type.members->count == 1) is_empty = !strcmp(members_of(type.members)->name, "structure_needs_at_least_one_member");
+    if (is_empty) REFUSE("%s has no field; allowed: drop, delay, duplicate", type.members->name);
     if (!member) REFUSE("no member %.*s in %s", (int)length, path, type.members->name);
     path += length;
     char *at = (char *)message + member->offset;

@@ -123,7 +123,7 @@ class _Control(ctypes.Structure):
         ("armed", ctypes.c_uint32),
         ("processes", ctypes.c_uint32),
         ("redirected", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint32),
+        ("busy_with", ctypes.c_uint32),
         ("armed_ns", ctypes.c_int64),
         ("sim_ns", ctypes.c_int64),
         ("reports_made", ctypes.c_uint64),
@@ -250,6 +250,12 @@ class ControlPage:
         """Number of calls that are redirected in running processes."""
         return int(self._control.redirected)
 
+    def take_busy_with(self) -> int:
+        """The mavfi that has refused this page a process since the last call, by its own faults there; 0 = none."""
+        owner = int(self._control.busy_with)
+        self._control.busy_with = 0
+        return owner
+
     # ---- faults -----------------------------------------------------------------------------------------------------
     def arm(self, faults: Sequence[InterposedFault]) -> None:
         """Arm faults in place of the armed ones; message numbers and times count from now on.
@@ -260,7 +266,6 @@ class ControlPage:
         if len(faults) > MAX_FAULTS:
             raise BadInputError(f"{len(faults)} faults: allowed: at most {MAX_FAULTS} at a time")
         self.disarm()
-        time.sleep(_SETTLE_S)
         for index, fault in enumerate(faults):
             self._control.faults[index] = _packed(fault)
         self._faults = tuple(faults)
@@ -269,8 +274,9 @@ class ControlPage:
         self._control.armed = len(faults)
 
     def disarm(self) -> None:
-        """Change no more messages."""
+        """Change no more messages; when it returns, all reports have been made."""
         self._control.armed = 0
+        time.sleep(_SETTLE_S)
 
     def set_sim_time(self, seconds: float) -> None:
         """Tell the graph's simulated time (s), on which faults with `sim_time` depend."""

@@ -5,6 +5,7 @@ data here: a message is a dictionary, an array a list, or a digest if it is long
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import socket
@@ -43,6 +44,8 @@ WIDTHS = {
     "uint64": "u8",
 }
 """NumPy's names of the numbers in ROS messages."""
+NOW = "now"
+"""Value of a time in an input that is that of its publication."""
 NOT_COMPARED = ("stamp",)
 """Members that are times of now, wherever they stand."""
 
@@ -104,6 +107,15 @@ def numbers(message, prefix=""):
                     yield from numbers(part, f"{path}[{index}].")
 
 
+def has_now(data):
+    """Whether plain data of a message has the time of its publication, `stamp: now`, somewhere."""
+    if isinstance(data, dict):
+        return any(map(has_now, data.values()))
+    if isinstance(data, list):
+        return any(map(has_now, data))
+    return data == NOW
+
+
 def fill(message, data):
     """Set the members of a message from plain data."""
     kinds = message.get_fields_and_field_types()
@@ -112,6 +124,9 @@ def fill(message, data):
             raise agent.RequestError(f"{type(message).__name__}: no field {name!r}; allowed: {', '.join(kinds)}")
         current = getattr(message, name)
         element = element_of(kinds[name])
+        if value == NOW and kinds[name] == "builtin_interfaces/Time":
+            now_ns = time.time_ns()
+            value = {"sec": now_ns // 10**9, "nanosec": now_ns % 10**9}
         if element is not None and "/" in element:
             package, kind = element.split("/")
             made = agent.message_class(f"{package}/msg/{kind}")
@@ -216,6 +231,8 @@ class Driver(agent.Agent):
                 decoded = deserialize_message(message, message_class)
             else:
                 message = decoded = fill(message_class(), entry["data"])
+                if has_now(entry["data"]):
+                    message = functools.partial(fill, decoded, entry["data"])
             self._inputs.append((topic, message, entry["offset_s"]))
             of_messages.append(list(numbers(decoded)))
         return {"numbers": of_messages}
@@ -270,7 +287,7 @@ class Driver(agent.Agent):
             if is_gone():
                 break
             before = {answer: self._counts[answer] for answer in answers}
-            self._publishers[topic].publish(message)
+            self._publish(topic, message)
             if offset_s is None:
                 limit_s = min(patience_s, SLOW_S)
                 if is_silent:
@@ -299,9 +316,15 @@ class Driver(agent.Agent):
         if is_silent and not is_gone():
             topic, message, _ = self._inputs[-1]
             before = {answer: self._counts[answer] for answer in answers}
-            self._publishers[topic].publish(message)
+            self._publish(topic, message)
             is_silent = not self._wait_for_all(before, patience_s, is_gone)
         return {"is_silent": is_silent, "is_gone": is_gone(), **played}
+
+    def _publish(self, topic, message):
+        """Publish an input; one with the time of now is filled first."""
+        if callable(message):
+            message = message()
+        self._publishers[topic].publish(message)
 
     def _wait_for_all(self, before, limit_s, is_gone):
         """Wait until there is an output on each topic; returns whether there is."""

@@ -146,7 +146,10 @@ class StackSampler(Sampler):
             return None
         number_of_use = self.repetition(requested.index)
         random = stream(requested.seed, "message", topic, environment, number_of_use)
-        changes = self._changes[topic]
+        # What no message of the topic can undergo, such as a flip without any number, is not drawn.
+        changes = [change for change in self._changes[topic] if _is_possible(change, messages)]
+        if not changes:
+            return None
         change = changes[int(random.integers(len(changes)))]
         seed = int(random.integers(2**31))
         if change.operation.name not in MESSAGE_OPERATIONS or change.operation.name == "freeze":
@@ -159,6 +162,13 @@ class StackSampler(Sampler):
 def _is_possible_in_input(operation: Operation) -> bool:
     """Whether an operation is possible where a message is received."""
     return operation.name not in MESSAGE_OPERATIONS or operation.name in INPUT_OPERATIONS
+
+
+def _is_possible(change: Change, messages: Sequence[Sequence[MessageNumbers]]) -> bool:
+    """Whether an operation can be applied to one of the messages."""
+    if change.operation.name in MESSAGE_OPERATIONS:
+        return True
+    return any(next(_changeable(numbers, change.operation), None) is not None for numbers in messages)
 
 
 def _messages(golden: Golden, topic: str) -> tuple[tuple[MessageNumbers, ...], ...]:
