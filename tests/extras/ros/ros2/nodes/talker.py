@@ -35,7 +35,7 @@ def publish():
     """Publish all that is due."""
     global tick
     tick += 1
-    state = JointState(name=["shoulder", "elbow"], position=[math.sin(0.1 * tick), 0.25])
+    state = JointState(name=["shoulder", "elbow"], position=[math.sin(0.1 * tick), 0.25 + 0.01 * (tick % 2)])
     state.header.stamp.sec = tick
     if arguments.wild and tick % arguments.wild == 0:
         state.position[1] = 1e6
