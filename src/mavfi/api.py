@@ -85,7 +85,9 @@ def fly(
     if detector_options and not isinstance(detector, str):
         raise BadInputError(f"detector_options: {detector_options!r}: allowed: with the name of a detector")
     setup = prepare(spec, detector, profile, _path(models), detector_options)
-    request = parse(fault, spec.localization) if isinstance(fault, str) else fault
+    request = fault
+    if isinstance(fault, str):
+        request = parse(fault, spec.localization)
     return fly_request(setup, request, fault_seed, without_detector=resolve(spec), command=call)
 
 

@@ -337,7 +337,9 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str, *, stored:
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
     """
-    context = STORED if stored else None
+    context = None
+    if stored:
+        context = STORED
     try:
         return model.model_validate(data, context=context)
     except ValidationError as error:

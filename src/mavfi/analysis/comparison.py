@@ -185,7 +185,7 @@ def compare(runs_a: Runs, runs_b: Runs) -> CampaignComparison:
     return CampaignComparison(_answer(groups), groups, _differing(runs_a, runs_b), tuple(notes))
 
 
-SettingSamples = Sequence[tuple[tuple[Any, ...], "Sample"]]
+SettingSamples = Sequence[tuple[tuple[Any, ...], "ComparedRuns"]]
 """Compared runs by (environment, setting)."""
 
 
@@ -221,7 +221,7 @@ def shared_samples(runs_a: Runs, runs_b: Runs) -> tuple[SettingSamples, Sequence
     notes += _only_in("B", groups_b, groups_a)
     samples = []
     for key in common:
-        sample = Sample.of(groups_a[key], groups_b[key])
+        sample = ComparedRuns.of(groups_a[key], groups_b[key])
         if not sample.paired and not same_draws and groups_a[key].first("kind") != GOLDEN:
             notes.append(f"{' '.join(key)}: no shared faults, not compared")
             continue
@@ -313,7 +313,7 @@ def _flat(campaign: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, An
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class ComparedRuns:
     """Compared runs: with pairs, both have as many, in the same order; `left_out`: runs without a partner."""
 
     a: Runs
@@ -322,14 +322,14 @@ class Sample:
     left_out: int = 0
 
     @staticmethod
-    def of(runs_a: Runs, runs_b: Runs, key: Sequence[str] = (*_MISSION, *_FAULT)) -> "Sample":
+    def of(runs_a: Runs, runs_b: Runs, key: Sequence[str] = (*_MISSION, *_FAULT)) -> "ComparedRuns":
         """Pair the runs of a group that have equal columns `key`, if enough of them have a partner."""
         columns_a = runs_a.frame.select(*key, row_a=pl.int_range(pl.len()))
         columns_b = runs_b.frame.select(*key, row_b=pl.int_range(pl.len()))
         pairs = columns_a.join(columns_b, on=key, nulls_equal=True, maintain_order="left")
         if pairs.height < _SHARED * min(len(runs_a), len(runs_b)):
-            return Sample(runs_a, runs_b, paired=False)
-        return Sample(
+            return ComparedRuns(runs_a, runs_b, paired=False)
+        return ComparedRuns(
             replace(runs_a, frame=runs_a.frame[pairs["row_a"]]),
             replace(runs_b, frame=runs_b.frame[pairs["row_b"]]),
             paired=True,
@@ -337,17 +337,17 @@ class Sample:
         )
 
     @staticmethod
-    def joined(samples: Sequence["Sample"]) -> "Sample":
+    def joined(samples: Sequence["ComparedRuns"]) -> "ComparedRuns":
         """The runs of several groups; pairs only if all are."""
         first = samples[0]
-        return Sample(
+        return ComparedRuns(
             replace(first.a, frame=pl.concat([sample.a.frame for sample in samples])),
             replace(first.b, frame=pl.concat([sample.b.frame for sample in samples])),
             paired=all(sample.paired for sample in samples),
         )
 
 
-def difference(sample: Sample, test: pl.Expr) -> Rate:
+def difference(sample: ComparedRuns, test: pl.Expr) -> Rate:
     """Difference of the shares of runs that pass a test, A - B; over whole words if strata of bits partition them."""
     a = sample.a
     b = sample.b
@@ -369,20 +369,20 @@ def _answer(groups: Sequence[ComparedGroup]) -> ComparedGroup:
     return [*without_detector, *with_fault, *groups][0]
 
 
-def _groups(samples: Sequence[tuple[tuple[Any, ...], Sample]]) -> tuple[ComparedGroup, ...]:
+def _groups(samples: Sequence[tuple[tuple[Any, ...], ComparedRuns]]) -> tuple[ComparedGroup, ...]:
     """By setting: over all environments if there are several, then each."""
-    by_setting: dict[str, dict[str, Sample]] = {}
+    by_setting: dict[str, dict[str, ComparedRuns]] = {}
     for (environment, setting), sample in samples:
         by_setting.setdefault(setting, {})[environment] = sample
     groups = []
     for setting, by_environment in by_setting.items():
         if len(by_environment) > 1:
-            groups.append(_compared(ALL, setting, Sample.joined(list(by_environment.values()))))
+            groups.append(_compared(ALL, setting, ComparedRuns.joined(list(by_environment.values()))))
         groups += [_compared(environment, setting, sample) for environment, sample in by_environment.items()]
     return tuple(groups)
 
 
-def _compared(environment: str, setting: str, sample: Sample) -> ComparedGroup:
+def _compared(environment: str, setting: str, sample: ComparedRuns) -> ComparedGroup:
     """The differences of a sample."""
     a = sample.a
     b = sample.b

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import polars as pl
 
 from mavfi.analysis import measures as m
-from mavfi.analysis.comparison import Sample, difference, shared_samples
+from mavfi.analysis.comparison import ComparedRuns, difference, shared_samples
 from mavfi.analysis.effects import ALARMED, effect_rate, has_verdicts, judged_faults
 from mavfi.analysis.rows import KERNEL_DUE
 from mavfi.analysis.runs import Runs
@@ -113,7 +113,7 @@ def judge_campaigns(runs_a: Runs, runs_b: Runs, requirements: Sequence[Requireme
         if not shared:
             names = ", ".join(sorted({name for (_, name), sample in samples}))
             raise BadInputError(f"{requirement.text!r}: {setting} is not compared; compared: {names}")
-        rate = difference(Sample.joined(shared), _test(requirement.measure))
+        rate = difference(ComparedRuns.joined(shared), _test(requirement.measure))
         if requirement.minus != CAMPAIGNS:
             rate = rate.negative
         verdicts.append(RequirementVerdict(requirement, rate))
@@ -132,7 +132,7 @@ def _difference_of_settings(runs: Runs, requirement: Requirement) -> Rate:
     first, second = by_setting
     if not has_verdicts(runs) and requirement.measure in MISSION:
         return wilson(0, 0)
-    return difference(Sample.of(first, second, _SAME_DRAW), _test(requirement.measure))
+    return difference(ComparedRuns.of(first, second, _SAME_DRAW), _test(requirement.measure))
 
 
 _SAME_DRAW = ("environment", "seed", "target", "index")

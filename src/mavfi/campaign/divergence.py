@@ -136,7 +136,9 @@ def _first_field(golden: State, injected: State) -> _FieldDifference:
         for name in records.dtype.names or ():
             rows = differing_rows(records[name], other_records[name])
             if len(rows):
-                field = name if records is golden.header else f"{name}[{rows[0]}]"
+                field = name
+                if records is golden.elements:
+                    field = f"{name}[{rows[0]}]"
                 return _FieldDifference(field, records[name][rows[0]].item(), other_records[name][rows[0]].item())
     raise AssertionError(f"{injected.spec.name}: bits differ and no field does")
 

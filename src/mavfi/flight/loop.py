@@ -377,7 +377,9 @@ class Loop:
         for text in self.plant.warnings():
             self.record.note(self.now, "warning", {"text": text})
         log = self.log(self.status, self.plant.rejected_commands)
-        profile = None if self.profiler is None else self.profiler.profile()
+        profile = None
+        if self.profiler is not None:
+            profile = self.profiler.profile()
         return Flight(log, profile, self.world, self.kernels)
 
     # ---- sensors and the control period -----------------------------------------------------------------------------

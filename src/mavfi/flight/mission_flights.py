@@ -142,7 +142,9 @@ class LocalFlights(ArmFlights):
     def _flown_arm(self, arm: str) -> FlownArm:
         """Detector and recovery of an arm; without a detector, flights of all arms of a scenario are the same."""
         detector = self._detector(arm)
-        name = arm if detector is not None else ""
+        name = ""
+        if detector is not None:
+            name = arm
         return FlownArm(name, detector, self._arms[arm].recovery)
 
     def _saves_detector(self, arm: str) -> bool:
@@ -337,7 +339,7 @@ def custom_parts_of(scenario: Scenario, detector: Detector | None) -> list[str]:
 
 
 class _OtherGlobalGenerators(Listener):
-    """Seeds the global generators anew when a flight has been built: no checkpoint contains them."""
+    """Gives the global generators another seed at take-off: a plug-in that draws from them then flies differently."""
 
     def begin(self, loop: Loop) -> None:
         """See `Listener`."""

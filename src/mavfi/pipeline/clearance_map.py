@@ -6,7 +6,7 @@ from mavfi.kernels.perception import clearance
 from mavfi.numerics.voxels import offsets_within
 from mavfi.pipeline.functions import Compiled
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
-from mavfi.pipeline.memory import Change, Changes
+from mavfi.pipeline.memory import ArrayChange, Changes
 from mavfi.states import State
 
 
@@ -65,11 +65,11 @@ class ClearanceMap:
         self.updates -= len(self._changes) - self._marked
         self._changes.take_back(self._marked, self._put)
 
-    def save(self) -> tuple[tuple[Change, ...], int, int]:
+    def save(self) -> tuple[tuple[ArrayChange, ...], int, int]:
         """All changes so far, their number at the last mark, and the number of updates."""
         return self._changes.save(), self._marked, self.updates
 
-    def restore(self, saved: tuple[tuple[Change, ...], int, int]) -> None:
+    def restore(self, saved: tuple[tuple[ArrayChange, ...], int, int]) -> None:
         """Restore the result of `save`."""
         changes, self._marked, self.updates = saved
         cells = self._changes.restore(changes)
@@ -77,7 +77,7 @@ class ClearanceMap:
         self._put(flips, cells[flips])  # counters depend on the occupied voxels alone
         self.cells[:] = cells
 
-    def same(self, saved: tuple[tuple[Change, ...], int, int]) -> bool:
+    def same(self, saved: tuple[tuple[ArrayChange, ...], int, int]) -> bool:
         """Whether the map, and the map after a rollback, are equal; counters are implied by the cells."""
         changes, marked, updates = saved
         revocable = len(self._changes) - self._marked

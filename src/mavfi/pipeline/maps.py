@@ -11,7 +11,7 @@ from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule, insert_scan, undo_scan
 from mavfi.kernels.perception.octree import Octree
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
-from mavfi.pipeline.memory import Change, Changes, Keeper, OpaqueKeeper, common_length
+from mavfi.pipeline.memory import ArrayChange, Changes, Keeper, OpaqueKeeper, common_length
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
@@ -190,16 +190,16 @@ class DenseMap:
                 self._arrays.note(None)
         self._can_undo = False
 
-    def save(self) -> tuple[tuple[Change, ...], bool]:
+    def save(self) -> tuple[tuple[ArrayChange, ...], bool]:
         """All scans so far, and whether the last one can be undone; stamps only need to be unused ones."""
         return self._changes.save(), self._can_undo
 
-    def restore(self, saved: tuple[tuple[Change, ...], bool]) -> None:
+    def restore(self, saved: tuple[tuple[ArrayChange, ...], bool]) -> None:
         """Restore the result of `save`."""
         changes, self._can_undo = saved
         self.log_odds[:] = self._changes.restore(changes)
 
-    def same(self, saved: tuple[tuple[Change, ...], bool]) -> bool:
+    def same(self, saved: tuple[tuple[ArrayChange, ...], bool]) -> bool:
         """Whether the map, and the map after a rollback, equal those of `save`."""
         changes, takes_back = saved
         return self._can_undo == takes_back and self._changes.same(changes, int(takes_back))

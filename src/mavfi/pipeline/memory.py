@@ -178,7 +178,7 @@ def _parts(value: Any) -> Iterator[str | bytes]:  # noqa: ANN401
 
 # ---- undo logs ------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, slots=True, eq=False)
-class Change:
+class ArrayChange:
     """One change; the same object in every snapshot that contains it.
 
     Attributes:
@@ -205,17 +205,17 @@ class Changes:
 
     def __init__(self, array: np.ndarray) -> None:
         self._array = array
-        self._log: list[Change] = []
+        self._log: list[ArrayChange] = []
         # A second copy of the array, created by the first `restore`, and the changes that it contains.
         self._replica: np.ndarray | None = None
-        self._replica_log: list[Change] = []
+        self._replica_log: list[ArrayChange] = []
 
     def __len__(self) -> int:
         return len(self._log)
 
     def note(self, places: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
         """Append a change that was just made; the arrays are not copied."""
-        self._log.append(Change(places, before, after))
+        self._log.append(ArrayChange(places, before, after))
 
     def forget(self) -> None:
         """Clear the log: the current contents become the base."""
@@ -227,11 +227,11 @@ class Changes:
             change = self._log.pop()
             put(change.places[::-1], change.before[::-1])
 
-    def save(self) -> tuple[Change, ...]:
+    def save(self) -> tuple[ArrayChange, ...]:
         """All changes so far, oldest first; unaffected by later changes."""
         return tuple(self._log)
 
-    def restore(self, saved: tuple[Change, ...]) -> np.ndarray:
+    def restore(self, saved: tuple[ArrayChange, ...]) -> np.ndarray:
         """Restore the log to a saved one.
 
         Returns:
@@ -241,7 +241,7 @@ class Changes:
         self._log = list(saved)
         return copy
 
-    def _replica_at(self, saved: tuple[Change, ...]) -> np.ndarray:
+    def _replica_at(self, saved: tuple[ArrayChange, ...]) -> np.ndarray:
         """A second copy of the array, moved from the snapshot used last to `saved`."""
         if self._replica is None:
             self._replica = np.zeros_like(self._array)
@@ -254,7 +254,7 @@ class Changes:
         self._replica_log = list(saved)
         return self._replica
 
-    def same(self, saved: tuple[Change, ...], revocable: int) -> bool:
+    def same(self, saved: tuple[ArrayChange, ...], revocable: int) -> bool:
         """Whether the array is bit-identical to its contents at the time of `saved`.
 
         Args:
@@ -270,7 +270,7 @@ class Changes:
         bits = f"u{copy.itemsize}"
         return np.array_equal(self._array.view(bits), copy.view(bits))
 
-    def _same_newest(self, saved: tuple[Change, ...], count: int) -> bool:
+    def _same_newest(self, saved: tuple[ArrayChange, ...], count: int) -> bool:
         """Whether the latest `count` changes would be undone to the same values."""
         if min(len(saved), len(self._log)) < count:
             return False

@@ -28,7 +28,7 @@ _INDEX = re.compile(r"\[\d+\]")
 """An index in a name."""
 _PARTS = re.compile(r"[^.\[\]]+")
 """The parts of a name: attributes and indices."""
-Change = Callable[[np.ndarray], None]
+ChangeWord = Callable[[np.ndarray], None]
 """Modifies one word in place, passed as an array of shape (1,) of its type."""
 
 
@@ -84,7 +84,7 @@ def words_of(kernel: Remembers) -> Iterator[Words]:
             yield Words(name, _code(array), array.size)
 
 
-def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any, Any] | None:
+def change(kernel: Remembers, name: str, index: int, apply: ChangeWord) -> tuple[Any, Any] | None:
     """Modify one word of a kernel's memory; returns its value before and after, None if the word does not exist."""
     if not any(words.name == name and 0 <= index < words.count for words in words_of(kernel)):
         return None
@@ -144,14 +144,14 @@ def _scalar_type(value: float) -> str:
 
 
 # ---- modification ----------------------------------------------------------------------------------------------------
-def _apply(word: np.ndarray, apply: Change) -> tuple[Any, Any]:
+def _apply(word: np.ndarray, apply: ChangeWord) -> tuple[Any, Any]:
     """Change a word in place; returns its value before and after."""
     before = word[0].item()
     apply(word)
     return before, word[0].item()
 
 
-def _with_changed_word(value: Any, path: list[str], index: int, apply: Change) -> tuple[Any, Any, Any]:
+def _with_changed_word(value: Any, path: list[str], index: int, apply: ChangeWord) -> tuple[Any, Any, Any]:
     """Copy of a value with one word modified, and that word before and after; the original may be shared.
 
     `path` leads from the value to the word.

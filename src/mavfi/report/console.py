@@ -11,11 +11,11 @@ WIDE = 140
 """Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
 
 
-class _Console(Console):
-    """A console whose command goes on, to its own exit code, when the reader of its output has ended (`| head`)."""
+class _PipedConsole(Console):
+    """A console that a closed pipe (`| head`) does not stop, so that the command keeps its exit code."""
 
     def on_broken_pipe(self) -> None:
-        """What is printed from now on, nobody reads."""
+        """Discard what is printed from now on."""
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, answer_stream().fileno())
 
@@ -26,5 +26,5 @@ def console(*, error: bool = False) -> Console:
     if error:
         stream = sys.stderr
     if stream.isatty() or "COLUMNS" in os.environ:
-        return _Console(file=stream, stderr=error, highlight=False)
-    return _Console(file=stream, stderr=error, highlight=False, width=WIDE)
+        return _PipedConsole(file=stream, stderr=error, highlight=False)
+    return _PipedConsole(file=stream, stderr=error, highlight=False, width=WIDE)

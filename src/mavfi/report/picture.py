@@ -92,7 +92,9 @@ def flight_figure(
         marks = [*_alarm_marks(recovered or flight), *_marks(flight)]
         labels = [drawn.label for drawn in (*courses, *marks)] + ["obstacle", "occupied in the map"]
         length = sum(_HANDLE + _LETTER * len(label) for label in labels)
-        rows = 1 if length < _WIDTH - 0.8 else 2
+        rows = 2
+        if length < _WIDTH - 0.8:
+            rows = 1
         figure, views = _axes(lower, upper, rows)
         # obstacles, the planner's map, paths and markers, from below to above
         _draw_world(views, flight.world, positions(flight))

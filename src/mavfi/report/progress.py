@@ -144,7 +144,9 @@ class Bar:
         if line == self._last_line:
             return
         if self._notebook is not None:
-            show = self._notebook.update if self._last_line else self._notebook.display
+            show = self._notebook.display
+            if self._last_line:
+                show = self._notebook.update
             show({"text/plain": line}, raw=True)
         elif self._prints_lines:
             self._console.print(line)

@@ -326,5 +326,8 @@ def _grid(headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequen
     for (first, *others), begins_group in grouped(rows):
         if has_groups and begins_group:
             grid.add_section()
-        grid.add_row(f"[bold]{escape(first)}[/bold]" if first else "", *map(escape, others))
+        first_cell = ""
+        if first:
+            first_cell = f"[bold]{escape(first)}[/bold]"
+        grid.add_row(first_cell, *map(escape, others))
     return grid

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from mavfi.errors import BadInputError
 from mavfi.extras.mavlink.faults import FaultyStream, MavlinkFault
-from mavfi.extras.shared.mavlink_frames import Frame, FrameSplitter, numbers_of
+from mavfi.extras.shared.mavlink_frames import FrameSplitter, MavlinkFrame, numbers_of
 from tests.extras.mavlink.frames import KINDS, Peer, received
 
 BY_NAME = {kind.msgname: kind for kind in KINDS}
@@ -149,7 +149,7 @@ def test_a_number_of_a_signed_frame_is_refused_and_the_next_frame_changed():
 
 
 def test_a_number_that_mavlink_1_lacks_is_refused():
-    frames = [Frame(Peer().frame(ATTITUDE, version=1))]
+    frames = [MavlinkFrame(Peer().frame(ATTITUDE, version=1))]
     short = BY_NAME["ATTITUDE_QUATERNION"]  # MAVLink 2 has added repr_offset_q
     content = bytes(32)
     from pymavlink.dialects.v20 import common

@@ -5,7 +5,7 @@ import random
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
-from mavfi.extras.shared.mavlink_frames import Frame, FrameSplitter
+from mavfi.extras.shared.mavlink_frames import FrameSplitter, MavlinkFrame
 from tests.extras.mavlink.frames import KINDS, Peer, received
 
 
@@ -15,7 +15,7 @@ def pieces(data, chunk=4096):
 
 
 def joined(parts):
-    return b"".join(part.data if isinstance(part, Frame) else part for part in parts)
+    return b"".join(part.data if isinstance(part, MavlinkFrame) else part for part in parts)
 
 
 def test_a_hundred_thousand_frames_of_all_messages_pass_byte_for_byte():
@@ -47,15 +47,15 @@ def test_noise_and_damaged_frames_pass_and_hide_no_frame():
     data += bytes(600)  # a frame that the noise seems to begin ends here
     parts = pieces(bytes(data), chunk=7)
     assert joined(parts) == data
-    assert {part.data for part in parts if isinstance(part, Frame)} >= set(frames)
+    assert {part.data for part in parts if isinstance(part, MavlinkFrame)} >= set(frames)
 
 
 @pytest.mark.parametrize("version", [1, 2])
 def test_another_sequence_number_has_a_valid_checksum_also_in_an_unknown_message(version):
     data = Peer().frame(KINDS[0], version=version)
     (known,) = pieces(data)
-    unknown = Frame(data)
-    assert known.rebuilt(sequence=300) == Frame(unknown.rebuilt(sequence=300).data, known.kind)
+    unknown = MavlinkFrame(data)
+    assert known.rebuilt(sequence=300) == MavlinkFrame(unknown.rebuilt(sequence=300).data, known.kind)
     ((_, sequence, fields),) = received(known.rebuilt(sequence=300).data)
     assert sequence == 44
     assert fields == received(data)[0][2]

@@ -247,7 +247,8 @@ def _parse(text: str, seed: int) -> MessageFault:
     if match["nth"]:
         instant = f"n={match['nth']}"
     change = parse_change((match["operations"] or "flip").split(":"), instant)
-    operation, when = change.operation, change.when
+    operation = change.operation
+    when = change.when
     if operation.name == "reorder":
         raise BadInputError("reorder: calls are answered in order; allowed: drop, delay, duplicate, freeze")
     if operation.name == "flip" and operation.bit is None:

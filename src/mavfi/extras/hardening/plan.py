@@ -248,6 +248,9 @@ def _ranges(sites: Collection[ModuleSite]) -> list[str]:
         # offset - position is the same within a run without a gap
         for _, run in groupby(enumerate(offsets), key=lambda numbered: numbered[1] - numbered[0]):
             first, *others = (offset for _, offset in run)
-            spans.append(f"{first}-{others[-1]}" if others else f"{first}")
+            span = f"{first}"
+            if others:
+                span += f"-{others[-1]}"
+            spans.append(span)
         texts.append(f"{block}:{','.join(spans)}")
     return texts

@@ -21,7 +21,7 @@ from mavfi.extras.logs.lines import ERROR, INFO, WARN, LogLine, lines_at, lines_
 from mavfi.extras.logs.ned import euler, ned_of
 from mavfi.extras.shared.frames import Triple, geodetic
 from mavfi.extras.shared.log_readers import LoggedMessage, RecordLayout, check_topics, reading
-from mavfi.extras.shared.mavlink_frames import Frame, frame_size, mavlink_dialect, numbers_of
+from mavfi.extras.shared.mavlink_frames import MavlinkFrame, frame_size, mavlink_dialect, numbers_of
 from mavfi.flight.loop import Loop
 from mavfi.flight.observers import FlightItem
 from mavfi.mission import MissionStatus
@@ -159,7 +159,7 @@ def _by_source(received: Sequence[_Received]) -> list[LoggedMessage]:
 def _payload(message: Any) -> bytes:
     """Payload of a received message, with the trailing zeros that MAVLink 2 omits."""
     size = message.unpacker.size
-    return Frame(bytes(message.get_msgbuf()), message).payload[:size].ljust(size, b"\0")
+    return MavlinkFrame(bytes(message.get_msgbuf()), message).payload[:size].ljust(size, b"\0")
 
 
 # ---- writer ------------------------------------------------------------------------------------------------------

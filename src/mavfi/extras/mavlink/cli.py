@@ -67,7 +67,7 @@ def inject(
 
     dialect = mavlink_dialect("mavfi mavlink inject")
     from mavfi.extras.mavlink.faults import FaultyStream, MavlinkFault
-    from mavfi.extras.mavlink.link import Link, connect
+    from mavfi.extras.mavlink.link import MavlinkLink, connect
 
     faults = [MavlinkFault(text, dialect, seed + index) for index, text in enumerate(fault)]
     injections: list[Injection] = []
@@ -82,7 +82,7 @@ def inject(
     streams = {"to": changed, "from": unchanged}
     if direction == "from":
         streams = {"to": unchanged, "from": changed}
-    link = Link((connect(program), streams["to"]), (connect(autopilot), streams["from"]), dialect)
+    link = MavlinkLink((connect(program), streams["to"]), (connect(autopilot), streams["from"]), dialect)
     if not as_json:
         console().print(f"{program} <-> {autopilot}; Ctrl-C ends the link", markup=False)
 

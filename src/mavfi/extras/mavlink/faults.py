@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError, not_known
-from mavfi.extras.shared.mavlink_frames import Frame, numbers_of
+from mavfi.extras.shared.mavlink_frames import MavlinkFrame, numbers_of
 from mavfi.extras.shared.message_definition import Leaf
 from mavfi.faults.changes import Change, ChangeInjector, MessageInjector, parse_text
 from mavfi.faults.operations import MESSAGE_OPERATIONS, check_number_operation
@@ -66,7 +66,8 @@ class MavlinkFault:
 
     def _suitable(self, change: Change) -> Change:
         """The change, if the messages allow it, with a bit if it flips one."""
-        operation, when = change.operation, change.when
+        operation = change.operation
+        when = change.when
         name = self.kind.msgname
         fields = [self.field]
         if when.condition is not None:
@@ -85,7 +86,7 @@ class MavlinkFault:
             check_number_operation(operation, leaf.kind)
         return change._replace(operation=operation)
 
-    def refusal(self, frame: Frame) -> str:
+    def refusal(self, frame: MavlinkFrame) -> str:
         """Why the number cannot be changed in a frame; "" = it can."""
         leaf = self.numbers[self.field]
         if frame.is_signed:
@@ -125,14 +126,14 @@ class FaultyStream:
     def __init__(self, faults: Sequence[MavlinkFault], report: Callable[[Injection], None]) -> None:
         self.frames = 0
         self._report = report
-        self._armed: list[tuple[MavlinkFault, ChangeInjector | MessageInjector[Frame]]] = []
+        self._armed: list[tuple[MavlinkFault, ChangeInjector | MessageInjector[MavlinkFrame]]] = []
         for fault in faults:
             if fault.field:
                 self._armed.append((fault, ChangeInjector.of(fault.change, fault.seed)))
             else:
                 self._armed.append((fault, MessageInjector(fault.change, self._send, fault.seed)))
         # Frames that are sent later: instant, order, frame.
-        self._queue: list[tuple[int, int, Frame]] = []
+        self._queue: list[tuple[int, int, MavlinkFrame]] = []
         self._queued = 0
         # Of each source: how many frames more than it sent have left, and the last sequence number.
         self._surplus: Counter[bytes] = Counter()
@@ -145,10 +146,10 @@ class FaultyStream:
             return self._queue[0][0]
         return float("inf")
 
-    def passed(self, frame: Frame, time_us: int) -> Iterator[bytes]:
+    def passed(self, frame: MavlinkFrame, time_us: int) -> Iterator[bytes]:
         """What is sent now that a frame has come."""
         self.frames += 1
-        arriving: Frame | None = frame
+        arriving: MavlinkFrame | None = frame
         for fault, injector in self._armed:
             if arriving is not None and arriving.kind is fault.kind:
                 fault.passed += 1
@@ -166,12 +167,12 @@ class FaultyStream:
             self._surplus[frame.source] += 1
             yield self._numbered(frame, self._last.get(frame.source, frame.sequence - 1) + 1)
 
-    def _send(self, frame: Frame, time_us: int) -> None:
+    def _send(self, frame: MavlinkFrame, time_us: int) -> None:
         """Send a frame at an instant (us)."""
         self._queued += 1
         heapq.heappush(self._queue, (time_us, self._queued, frame))
 
-    def _numbered(self, frame: Frame, sequence: int) -> bytes:
+    def _numbered(self, frame: MavlinkFrame, sequence: int) -> bytes:
         """The bytes of a frame with a sequence number; the same bytes, if it has that number."""
         self._last[frame.source] = sequence
         if frame.sequence != sequence % 256:
@@ -179,8 +180,12 @@ class FaultyStream:
         return frame.data
 
     def _changed(
-        self, fault: MavlinkFault, injector: "ChangeInjector | MessageInjector[Frame]", frame: Frame, time_us: int
-    ) -> Frame | None:
+        self,
+        fault: MavlinkFault,
+        injector: "ChangeInjector | MessageInjector[MavlinkFrame]",
+        frame: MavlinkFrame,
+        time_us: int,
+    ) -> MavlinkFrame | None:
         """The frame that arrives in the place of one of the fault's messages; None = none does."""
         payload = bytearray(frame.payload)
 
@@ -193,7 +198,7 @@ class FaultyStream:
         if not injector.due(time_us, read):
             return frame
         before = after = None
-        arriving: Frame | None
+        arriving: MavlinkFrame | None
         if isinstance(injector, MessageInjector):
             arriving = injector.change(frame, time_us)
             is_changed = True

@@ -32,7 +32,7 @@ def connect(address: str) -> Any:
     return connection
 
 
-class Link:
+class MavlinkLink:
     """Two connections, each with the stream of frames that come from it.
 
     Args:
@@ -42,7 +42,8 @@ class Link:
     """
 
     def __init__(self, program: tuple[Any, FaultyStream], autopilot: tuple[Any, FaultyStream], dialect: Any) -> None:
-        (program_side, from_program), (autopilot_side, from_autopilot) = program, autopilot
+        program_side, from_program = program
+        autopilot_side, from_autopilot = autopilot
         self._ways = [
             (program_side, FrameSplitter(dialect), from_program, autopilot_side),
             (autopilot_side, FrameSplitter(dialect), from_autopilot, program_side),

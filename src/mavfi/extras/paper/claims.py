@@ -132,7 +132,7 @@ def claims_table(
                 for scale, names_at_scale in (untested or {}).items()
             ),
         ),
-        behind=[tuple(evidence.behind if column.key in _LINKED else () for column in _COLUMNS) for evidence in results],
+        behind=[_behind(evidence) for evidence in results],
     )
 
 
@@ -149,6 +149,12 @@ _COLUMNS = (
 )
 _LINKED = ("verdict", "p", "holm_p")
 """Columns whose cells open the tested runs."""
+
+
+def _behind(evidence: Evidence) -> tuple[tuple[str, ...], ...]:
+    """The runs that each cell of a finding's row opens."""
+    runs_by_column = dict.fromkeys(_LINKED, evidence.behind)
+    return tuple(runs_by_column.get(column.key, ()) for column in _COLUMNS)
 
 
 def verdict(evidence: Evidence, corrected: float | None) -> str:

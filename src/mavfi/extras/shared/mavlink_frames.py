@@ -78,7 +78,7 @@ def frame_size(data: bytes, start: int = 0) -> int | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class MavlinkFrame:
     """A whole frame.
 
     Attributes:
@@ -122,7 +122,7 @@ class Frame:
         before = _checksum(self.data[1:end])
         return next((extra for extra in extras if _checksum(bytes([extra]), before) == stored), None)
 
-    def rebuilt(self, *, sequence: int, payload: bytes | None = None) -> "Frame":
+    def rebuilt(self, *, sequence: int, payload: bytes | None = None) -> "MavlinkFrame":
         """A copy with this sequence number and perhaps another payload; a signed frame is returned as it is."""
         extra = self.checksum_extra()
         if self.is_signed or extra is None:
@@ -136,7 +136,7 @@ class Frame:
                 content = payload[:1] + payload[1:].rstrip(b"\0")
             header[1] = len(content)
         checksum = _checksum(bytes(header[1:]) + content + bytes([extra]))
-        return Frame(bytes(header) + content + struct.pack("<H", checksum), self.kind)
+        return MavlinkFrame(bytes(header) + content + struct.pack("<H", checksum), self.kind)
 
 
 def _checksum(content: bytes, before: int = 0xFFFF) -> int:
@@ -160,7 +160,7 @@ class FrameSplitter:
         self._kinds = dialect.mavlink_map
         self._rest = b""  # the beginning of a frame whose end has not come
 
-    def feed(self, data: bytes) -> Iterator[Frame | bytes]:
+    def feed(self, data: bytes) -> Iterator[MavlinkFrame | bytes]:
         """The pieces that are complete with these further bytes of the stream."""
         data = self._rest + data
         between = start = 0  # what lies between frames began at `between`
@@ -172,7 +172,7 @@ class FrameSplitter:
             if size > 0:
                 number = data[start + _SEQUENCE[data[start]] + 3 : start + _HEADERS[data[start]]]
                 kind = self._kinds.get(int.from_bytes(number, "little"))
-                frame = Frame(data[start : start + size], kind)
+                frame = MavlinkFrame(data[start : start + size], kind)
             if frame is None or frame.checksum_extra() is None:
                 start += 1  # nothing, or a damaged frame: the next one may begin with any byte
                 continue

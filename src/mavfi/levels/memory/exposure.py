@@ -33,7 +33,7 @@ class _Region(NamedTuple):
 
 
 @dataclass(slots=True)
-class Drawing:
+class FaultDrawing:
     """Drawing of one fault: its generator, and the current choice."""
 
     random: np.random.Generator
@@ -59,7 +59,7 @@ class Exposure:
     sites: tuple[MemorySite, ...]
     stratum: str = ""
     bit: int | None = None
-    drawings: list[Drawing] = field(default_factory=list)
+    drawings: list[FaultDrawing] = field(default_factory=list)
     seen: int = 0
     seen_in_words: int = 0
     latest: Mapping[str, Sequence[Words]] = field(default_factory=dict)
@@ -102,7 +102,7 @@ class Exposure:
             return range(self.bit, self.bit + 1)
         return range(0)
 
-    def _choose(self, drawing: Drawing, regions: list[_Region], sizes: list[int], now: int) -> MemoryFault:
+    def _choose(self, drawing: FaultDrawing, regions: list[_Region], sizes: list[int], now: int) -> MemoryFault:
         """A bit of some regions, uniformly; `sizes` are their numbers of bits."""
         number = int(drawing.random.integers(sum(sizes)))
         position = 0

@@ -11,7 +11,7 @@ from mavfi.errors import BadInputError, hint
 from mavfi.faults.changes import Change
 from mavfi.faults.sampling import stream
 from mavfi.flight.targets import find_plug_in, plug_ins_of
-from mavfi.levels.memory.exposure import Drawing, Exposure, fly_exposed
+from mavfi.levels.memory.exposure import Exposure, FaultDrawing, fly_exposed
 from mavfi.levels.memory.fault import MemoryFault
 from mavfi.pipeline.words import collapsed
 from mavfi.states import KERNELS, WATCHING, unknown
@@ -49,7 +49,7 @@ class MemoryRequest:
 
         # Draw while the golden flight is flown.
         random = stream(seed, "memory", owner.name)
-        exposure = Exposure(((owner.name, self.field),), "", self.bit, [Drawing(random, seed)])
+        exposure = Exposure(((owner.name, self.field),), "", self.bit, [FaultDrawing(random, seed)])
         golden = fly_exposed(setup, [exposure], self.time_us)
         (fault,) = exposure.faults()
 

@@ -23,7 +23,7 @@ from mavfi.levels.level import (
     check_strata,
     group_json,
 )
-from mavfi.levels.memory.exposure import Drawing, Exposure, MemorySite, fly_exposed
+from mavfi.levels.memory.exposure import Exposure, FaultDrawing, MemorySite, fly_exposed
 from mavfi.levels.memory.fault import MemoryFault
 from mavfi.levels.memory.request import kernels_with, refusal_of
 from mavfi.states import WATCHING
@@ -125,11 +125,11 @@ class MemorySampler(Sampler):
             random = stream(draw.seed, "memory", draw.target, environment, number)
             key = draw.target, draw.stratum
             exposure = exposures.setdefault(key, Exposure(self._sites[draw.target], draw.stratum))
-            exposure.drawings.append(Drawing(random, draw.seed))
+            exposure.drawings.append(FaultDrawing(random, draw.seed))
         if self.campaign.nulls and not arm:
             seed = setup.scenario.seed
             all_kernels = Exposure(tuple((kernel, "") for kernel in self._kernels))
-            all_kernels.drawings.append(Drawing(stream(seed, "memory", NULL, environment), seed))
+            all_kernels.drawings.append(FaultDrawing(stream(seed, "memory", NULL, environment), seed))
             exposures[NULL, ""] = all_kernels
         golden = fly_exposed(setup, list(exposures.values()))
         flights.register_golden(arm, golden)

@@ -34,13 +34,13 @@ from mavfi.states import (
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class FieldTarget:
     """A stage or a named group: by state, the fields from which faults are drawn; no state is empty."""
 
     name: str
     fields: dict[str, tuple[str, ...]]
 
-    def within(self, stratum: str) -> "Target":
+    def within(self, stratum: str) -> "FieldTarget":
         """The fields with bits in the stratum; raises a BadInputError if there are none."""
         fields = {}
         for state, names in self.fields.items():
@@ -49,7 +49,7 @@ class Target:
                 fields[state] = names_in_stratum
         if not fields:
             raise BadInputError(f"{self.name}: no field has bits of the stratum {stratum!r}")
-        return Target(self.name, fields)
+        return FieldTarget(self.name, fields)
 
     def probability(self, state: str) -> float:
         """Probability of drawing any given field of the state."""
@@ -65,7 +65,9 @@ def live_fields(spec: StateSpec, autopilot: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(live))
 
 
-def stage_target(stage: str, autopilot: str, monitored_set: str | None = None, localization: str = "truth") -> Target:
+def stage_target(
+    stage: str, autopilot: str, monitored_set: str | None = None, localization: str = "truth"
+) -> FieldTarget:
     """All live fields of the states of a stage.
 
     The autopilot profile determines dead fields, the localization the existing states; a monitored set
@@ -81,15 +83,17 @@ def stage_target(stage: str, autopilot: str, monitored_set: str | None = None, l
             raise BadInputError(f"monitored set {not_known(monitored_set, MONITORED_SETS)}")
         monitored = set(MONITORED_SETS[monitored_set])
         fields = {state: tuple(name for name in names if (state, name) in monitored) for state, names in fields.items()}
-    return Target(stage, {state: names for state, names in fields.items() if names})
+    return FieldTarget(stage, {state: names for state, names in fields.items() if names})
 
 
-def published_target(stage: str) -> Target:
+def published_target(stage: str) -> FieldTarget:
     """The fields of a stage that the authors' injector of states can change, see `PUBLISHED_SITES`."""
-    return Target(stage, {state: names for state, names in PUBLISHED_SITES.items() if STATES[state].stage == stage})
+    return FieldTarget(
+        stage, {state: names for state, names in PUBLISHED_SITES.items() if STATES[state].stage == stage}
+    )
 
 
-def group_target(name: str, sites: Sequence[str], localization: str = "truth") -> Target:
+def group_target(name: str, sites: Sequence[str], localization: str = "truth") -> FieldTarget:
     """The named fields, e.g. "planning.waypoint.x".
 
     Raises a BadInputError if a site is not a known field, or its state is not published with this localization.
@@ -104,11 +108,11 @@ def group_target(name: str, sites: Sequence[str], localization: str = "truth") -
         fields[state] = (*fields.get(state, ()), field_name)
     if not fields:
         raise BadInputError(f"group {name!r}: names no site")
-    return Target(name, fields)
+    return FieldTarget(name, fields)
 
 
 def draw(
-    target: Target,
+    target: FieldTarget,
     stratum: str,
     profile: Profile,
     seed: int,
@@ -147,10 +151,10 @@ def draw(
     return replace(fault, also=tuple((other, bits[int(random.integers(len(bits)))]) for other in others))
 
 
-def message_target(state: str) -> Target:
+def message_target(state: str) -> FieldTarget:
     """All fields of a message, with the lengths of its lists; raises a BadInputError for an unknown state."""
     spec = find_state(state)
-    return Target(state, {state: tuple(dict.fromkeys(field.name for field in (*spec.fields, *spec.lengths)))})
+    return FieldTarget(state, {state: tuple(dict.fromkeys(field.name for field in (*spec.fields, *spec.lengths)))})
 
 
 class FieldBits(NamedTuple):

@@ -33,7 +33,7 @@ from mavfi.levels.level import (
     profile_of,
 )
 from mavfi.levels.state.drawing import (
-    Target,
+    FieldTarget,
     draw,
     draw_in_message,
     group_target,
@@ -158,12 +158,12 @@ class StateSampler(Sampler):
             for stratum in shares:
                 target.within(stratum)
 
-    def _find_targets(self) -> list[tuple[Target, Mapping[str, float]]]:
+    def _find_targets(self) -> list[tuple[FieldTarget, Mapping[str, float]]]:
         """The targets in the order of the plan, each with the shares of its strata; fields allow all operations."""
         operations = [operation_of(text).operation for text in self.sampling.operations]
         return [(_accepting(target, operations), shares) for target, shares in self._find_scheme_targets()]
 
-    def _find_scheme_targets(self) -> list[tuple[Target, Mapping[str, float]]]:
+    def _find_scheme_targets(self) -> list[tuple[FieldTarget, Mapping[str, float]]]:
         """The targets of the scheme in the order of the plan, each with the shares of its strata."""
         sampling = self.sampling
         if sampling.scheme == "groups":
@@ -190,7 +190,7 @@ class StateSampler(Sampler):
                     f"{', '.join(PPC_STAGES)}"
                 )
 
-    def _group(self, index: int) -> Target:
+    def _group(self, index: int) -> FieldTarget:
         """The fields of a group; an error names the group by its index."""
         group = self.sampling.groups[index]
         try:
@@ -198,7 +198,7 @@ class StateSampler(Sampler):
         except BadInputError as error:
             raise BadInputError(f"sampling.groups.{index}.sites: {error}") from None
 
-    def _message(self, state: str) -> tuple[Target, Mapping[str, float]]:
+    def _message(self, state: str) -> tuple[FieldTarget, Mapping[str, float]]:
         """A message, with the shares of those strata that it has."""
         if not STATES[state].exists_with(self._localization):
             raise BadInputError(
@@ -288,7 +288,7 @@ def _check_operation(text: str) -> None:
         raise ValueError(f"sampling.operations: {text!r}: changes no drawn value; allowed: {allowed}")
 
 
-def _accepting(target: Target, operations: Sequence[Operation]) -> Target:
+def _accepting(target: FieldTarget, operations: Sequence[Operation]) -> FieldTarget:
     """The fields of a target that allow all operations; raises a BadInputError if there are none."""
     fields = {}
     for state, names in target.fields.items():
@@ -298,7 +298,7 @@ def _accepting(target: Target, operations: Sequence[Operation]) -> Target:
             fields[state] = allowed
     if not fields:
         raise BadInputError(f"sampling.operations: {target.name}: has no field that allows all of them")
-    return Target(target.name, fields)
+    return FieldTarget(target.name, fields)
 
 
 def _with_operation(fault: StateFault, change: Change) -> StateFault:

@@ -95,7 +95,9 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
     kinds = {}
     columns = []
     for index in shown:
-        kinds[index] = "text" if table.columns[index].form == TEXT else "number"
+        kinds[index] = "number"
+        if table.columns[index].form == TEXT:
+            kinds[index] = "text"
         if index < table.keys:
             kinds[index] = "key"
         # columns with sentences wrap
@@ -113,7 +115,10 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
                 text = setting_label(text)
             # a rate is split into its value and the rest: interval and n
             rate = _INTERVAL.match(text)
-            value, interval = rate.groups() if rate else (text, "")
+            value = text
+            interval = ""
+            if rate:
+                value, interval = rate.groups()
             link = ""
             if kinds[index] != "key" and text not in ("", ABSENT):
                 link = sets.link(run_ids[index])
@@ -175,8 +180,10 @@ def _rounded(column: pl.Series, digits: int) -> list[float | None]:
     """Numbers with at most so many decimals; with 0 decimals, integers."""
     numbers: list[float | None] = []
     for value in column:
-        if value is not None:
-            value = round(value, digits) if digits else int(value)
+        if value is not None and digits:
+            value = round(value, digits)
+        elif value is not None:
+            value = int(value)
         numbers.append(value)
     return numbers
 

@@ -9,7 +9,7 @@ from mavfi.campaign.config import Campaign
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE
 from mavfi.faults.strata import WORD_BITS, bits_of
-from mavfi.levels.memory.exposure import Drawing, Exposure
+from mavfi.levels.memory.exposure import Exposure, FaultDrawing
 from mavfi.levels.memory.fault import MemoryFault
 from mavfi.levels.memory.sampling import MemorySampler
 from mavfi.pipeline.words import Words
@@ -23,7 +23,7 @@ EVERYTHING = (("pid", ""), ("planner", ""))
 
 
 def drawn(count=1, sites=EVERYTHING, stratum="", bit=None, seed=0):
-    drawings = [Drawing(np.random.default_rng([seed, number]), number) for number in range(count)]
+    drawings = [FaultDrawing(np.random.default_rng([seed, number]), number) for number in range(count)]
     exposure = Exposure(sites, stratum, bit, drawings)
     for now, remembered in INSTANTS.items():
         exposure.observe(remembered, now)
