@@ -85,9 +85,10 @@ def fly(
     if detector_options and not isinstance(detector, str):
         raise BadInputError(f"detector_options: {detector_options!r}: allowed: with the name of a detector")
     setup = prepare(spec, detector, profile, _path(models), detector_options)
-    request = fault
     if isinstance(fault, str):
-        request = parse(fault, spec.localization)
+        request: Request | Fault | None = parse(fault, spec.localization)
+    else:
+        request = fault
     return fly_request(setup, request, fault_seed, without_detector=resolve(spec), command=call)
 
 

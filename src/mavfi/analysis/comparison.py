@@ -193,7 +193,7 @@ def shared_samples(runs_a: Runs, runs_b: Runs) -> tuple[SettingSamples, Sequence
     """What two campaigns have in common, and notes on what is not compared.
 
     Raises:
-        BadInputError: Nothing.
+        BadInputError: They have no setting in common.
     """
     notes = [*_progress_notes("A", runs_a), *_progress_notes("B", runs_b)]
     judged_a = runs_a.where("judged", pl.col("kind") != NULL)

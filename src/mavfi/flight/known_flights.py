@@ -118,6 +118,6 @@ def check_repetition(golden: FlightLog, repeated: FlightLog, custom_parts: str) 
         return
     raise MavfiError(
         f"two flights without a fault differ {difference}, so no effect of a fault can be told; custom: "
-        f"{custom_parts}; allowed: random numbers from the seed and memory in its attributes, in a detector written "
-        "by accept alone"
+        f"{custom_parts}; allowed: random numbers from the seed; memory in attributes, which a detector changes in "
+        "`accept` alone"
     )
