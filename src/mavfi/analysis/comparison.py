@@ -96,7 +96,10 @@ class CampaignComparison:
         """The answer: failures, then what flight time and energy differ by."""
         if self.are_same:
             shared = sum(group.n_a for group in self.groups if group.environment != ALL)  # without totals
-            return [f"B flies as A: all {shared} shared runs are equal bit for bit."]
+            same = f"B flies as A: all {shared} shared runs are equal bit for bit."
+            if not self.answer.has_fault:
+                same = f"Without a fault, {same}"
+            return [same]
         failures = _failures_sentence(self.answer)
         golden = self._golden_of_answer
         if self.answer.has_fault and golden is not None:

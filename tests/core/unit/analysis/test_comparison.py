@@ -48,6 +48,8 @@ def test_the_answer_is_a_sentence():
     )
     (same,) = compare(campaign(), campaign()).sentences
     assert same == "B flies as A: all 120 shared runs are equal bit for bit."
+    (without_a_fault,) = compare(campaign(), campaign(fault=INSTRUCTION)).sentences
+    assert without_a_fault == "Without a fault, B flies as A: all 40 shared runs are equal bit for bit."
     assert second.endswith("] longer, its energy not shown to differ, [0.0, 0.0] %."), "not 0.0 % more"
     (not_shown, _) = compare(campaign(), campaign(range(1, 2))).sentences
     assert not_shown.startswith("sparse, fi: no difference in failures is shown: -2.5")
